@@ -25,7 +25,7 @@ from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE
 from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
 from rpod_schemas.wire import Attachment
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 CAMERA = Camera(width=352, height=287, fx=400.0, fy=400.0, cx=175.5, cy=143.0)
 INFO = PmdInfo(
     modulation_frequency_hz=[20e6], integration_time_s=1e-3, electrons_per_count=10.0, saturation_count=4e3
