@@ -83,6 +83,8 @@ class Daemon:
         """Time at which the process was started, monotonic clock; the other times are the keeper's own."""
         self._started_s = self._ready_s = self._heard_s = 0.0
         self._due_s = 0.0
+        self._hang_s = service.settings.hang_s
+        """Limit of the present process, which was told of it when it was started."""
         self._reason = ""
         self._address = sockets / service.name
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -109,7 +111,7 @@ class Daemon:
             return
         self._born_s = time.monotonic()
         self._started_s = self._heard_s = self._clock.now_s()
-        self._ready_s = 0.0
+        self._ready_s, self._hang_s = 0.0, self.service.settings.hang_s
         self.state, self.message, self._reason = "starting", "", ""
         log.info("%s: started, process %d", self.name, self._process.pid)
 
@@ -214,8 +216,8 @@ class Daemon:
         late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
         if self.state == "starting" and late:
             self._reason = f"was not ready after {settings.start_timeout_s:g} s"
-        elif self.state == "ready" and now_s - self._heard_s > settings.hang_s:
-            self._reason = f"hung for {settings.hang_s:g} s"
+        elif self.state == "ready" and now_s - self._heard_s > self._hang_s:
+            self._reason = f"hung for {self._hang_s:g} s"
         if self._reason:
             self.send(signal.SIGKILL)  # its end is noticed in one of the next turns
 

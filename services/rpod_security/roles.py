@@ -58,7 +58,7 @@ class Role:
     watches: bool = False
     """Whether it watches which publishers there are."""
     serves: tuple[str, ...] = ()
-    """Verbs that it serves beside ``status`` and ``shutdown``."""
+    """Verbs that it serves beside those of all services."""
     asks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Verbs that it asks, by the role that serves them; ``*`` stands for every role or verb."""
 
@@ -137,7 +137,7 @@ ROLES: dict[str, Role] = {
 }  # fmt: skip
 """Roles by name."""
 
-_VERBS = "status", "shutdown"
+_VERBS = "status", "shutdown", "reload"
 _OF_ALL = DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.config.base import LIVE, Config, Name, Positive
 from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
@@ -70,8 +70,8 @@ class ServiceConfig(Config):
     """Connection to the bus."""
     zenoh_id: str = Field(default="", pattern=r"^[0-9a-f]{0,32}$")
     """Zenoh identity by which the router's access rules know this client; random if empty."""
-    log_level: LogLevel = "info"
-    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
+    log_level: Annotated[LogLevel, LIVE] = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
     time_source: Literal["wall", "clock"] = "wall"
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
@@ -82,8 +82,8 @@ class RouterConfig(Config):
 
     instance: Name = "router"
     """Name of this process in its log lines."""
-    log_level: LogLevel = "info"
-    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
+    log_level: Annotated[LogLevel, LIVE] = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint to listen on."""
     connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
