@@ -193,13 +193,21 @@ def open_router(config: RouterConfig) -> zenoh.Session:
         },
         adminspace={"enabled": False},
         unicast=unicast,
-        tls=_tls(config.credentials, listens=True),
+        tls=_router_tls(config),
         access_control=_access_control(config),
     )
     try:
         return zenoh.open(zenoh_config)
     except zenoh.ZError as error:
         raise EndpointError(config.listen, str(error).split(" at /")[0]) from error
+
+
+def _router_tls(config: RouterConfig) -> dict[str, Any] | None:
+    if config.credentials is None or config.link_credentials is None:
+        return _tls(config.credentials, listens=True)
+    from rpod_security.credentials import Credentials  # noqa: PLC0415 - of an extra
+
+    return Credentials.read(config.credentials).joining(Credentials.read(config.link_credentials))
 
 
 def _listening(config: RouterConfig) -> str:

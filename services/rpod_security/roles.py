@@ -35,7 +35,7 @@ from rpod_schemas.topics import (
     Topic,
 )
 
-ROUTER = "router"
+ROUTER, LINK = "router", "link"
 ANY = "*"
 _ESTIMATES = (
     ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY,
@@ -67,6 +67,7 @@ _STATUS_OF_ALL = {ANY: ("status",)}
 _EVERYTHING = tuple(topic for topic in TOPICS if not topic.name.startswith("<") and topic not in _ESTIMATES)
 
 ROLES: dict[str, Role] = {
+    LINK: Role("joins a router to that of another host; it may do what the members there may"),
     ROUTER: Role("the bus; its certificate serves no client"),
     "motion": Role(
         "publishes the truth, and the time in lockstep",

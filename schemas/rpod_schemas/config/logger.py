@@ -15,7 +15,7 @@ class LoggerConfig(ServiceConfig):
     instance: Name = "logger"
     """Name on the bus."""
     directory: Annotated[Path, LIVE] = Path("runs")
-    """Folder of the logs; it is made if it is missing. A change without a restart is that of the next file."""
+    """Folder of the logs; it is made if it is missing. It changes without a restart, for the next file."""
     name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
     """Stem of the file's name; the time of the start if left out."""
     compression: Literal["lz4", "zstd", "none"] = "lz4"
@@ -28,7 +28,8 @@ class LoggerConfig(ServiceConfig):
     """Capacity of the queue between bus and disk, bytes."""
     split_bytes: Annotated[int, LIVE] = Field(default=3_500_000_000, ge=1 << 16)
     """Size at which a file is closed and the next one opened, bytes; it is below the limit of any file
-    system. It also bounds the index, which the writer keeps in memory until the close. It changes without a restart."""
+    system. It also bounds the index, which the writer keeps in memory until the close. It changes
+    without a restart."""
     split_interval_s: Annotated[Positive | None, LIVE] = None
     """Age at which a file is closed and the next one opened, s; no limit if left out. It changes without a
     restart."""

@@ -94,6 +94,9 @@ class RouterConfig(Config):
     credentials: Path | None = None
     """Folder of the router's certificate and key, made by ``rpod pki init``. With it every client needs a
     certificate of the same authority, and may do what ``rules`` allow it."""
+    link_credentials: Path | None = None
+    """Folder of the certificate, of the role ``link``, by which the routers in ``connect`` know this one; of
+    the profile secure alone."""
     rules: Path | None = None
     """File of the access rules, made by ``rpod pki rules``."""
     handshake_timeout_s: float = Field(default=1.0, ge=0.01, le=10.0)
@@ -106,8 +109,14 @@ class RouterConfig(Config):
     @model_validator(mode="after")
     def _certificates_need_rules(self) -> Self:
         _check_tls("listen", self.listen, self.credentials)
-        if self.connect and self.credentials is not None:
-            raise ValueError("connect: routers of the profile secure cannot be joined yet; leave it out")
+        for endpoint in self.connect:
+            _check_tls("connect", endpoint, self.credentials)
+        joins = bool(self.connect) and self.credentials is not None
+        if joins != (self.link_credentials is not None):
+            raise ValueError(
+                "connect: a router of the profile secure needs link_credentials, a certificate of the role "
+                "link, to join others, and none without (rpod pki issue link NAME)"
+            )
         if (self.credentials is None) != (self.rules is None):
             raise ValueError(
                 "credentials and rules make the profile secure together: give both (rpod pki rules) or none"
