@@ -152,6 +152,7 @@ def _near(case: Case) -> None:
     with Sender(_ENDPOINT) as sender:
         print("go", file=far.stdin, flush=True)
         assert far.stdout.readline() == "ready\n"
+        sender.await_receiver()
         sent = sender.send(truth=case.truth, frame_hz=case.frame_hz)
         print(json.dumps(sent), file=far.stdin, flush=True)
         arrived = json.loads(far.stdout.readline())

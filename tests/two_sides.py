@@ -39,8 +39,21 @@ class Sender(_Side):
     def __init__(self, endpoint: str) -> None:
         super().__init__()
         self._stack.enter_context(open_router(RouterConfig(listen=endpoint, estimators=())))
-        node = self._node("sender", endpoint)
-        self._truth, self._frames = node.publisher(TRUTH), node.publisher(_FRAMES)
+        self._here = self._node("sender", endpoint)
+        self._truth, self._frames = self._here.publisher(TRUTH), self._here.publisher(_FRAMES)
+
+    def await_receiver(self) -> None:
+        """Wait until the router knows that somebody receives the truth: its token follows its subscription.
+
+        Who joins while a publisher publishes may miss the messages before (a race in Zenoh's subscriber).
+        """
+        deadline_s, pause = time.monotonic() + _PATIENCE_S, Event()
+        while time.monotonic() < deadline_s:
+            replies = self._here._session.liveliness().get("@ros2_lv/**", timeout=_PATIENCE_S)
+            keys = [str(reply.ok.key_expr) for reply in replies if reply.ok]
+            if any("/MS/" in key and "/receiver/" in key and "depth" in key for key in keys):
+                return
+            pause.wait(0.05)
 
     def send(self, *, truth: int, frame_hz: float) -> dict[str, int]:
         """Send so many messages of truth at their rate, and frames beside them; return the numbers."""
