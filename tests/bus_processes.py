@@ -45,8 +45,8 @@ class BusProcess:
     def end(self, number: signal.Signals) -> int:
         """Send a signal, wait, and return how many messages were published at last."""
         self._process.send_signal(number)
-        self._process.wait(20.0)
-        self._thread.join(20.0)
+        self._process.wait(60.0)
+        self._thread.join(60.0)
         return self._last
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.session import free_endpoint, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 
 
 @contextmanager

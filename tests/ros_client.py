@@ -79,11 +79,13 @@ class RosClient:
     ) -> None:
         self.session.close()
 
-    def tokens(self, kind: str, *, least: int = 1, timeout_s: float = 10.0) -> list[str]:
+    def tokens(self, kind: str, *, least: int = 1, timeout_s: float = 60.0) -> list[str]:
         """Return the tokens of a kind in the domain, once there are enough of them."""
         deadline_s = time.monotonic() + timeout_s
         while True:
-            replies = self.session.liveliness().get(f"@ros2_lv/{self.domain}/*/*/*/{kind}/**", timeout=2.0)
+            replies = self.session.liveliness().get(
+                f"@ros2_lv/{self.domain}/*/*/*/{kind}/**", timeout=timeout_s
+            )
             found = [str(reply.ok.key_expr) for reply in replies if reply.ok]
             if len(found) >= least or time.monotonic() > deadline_s:
                 return found
@@ -94,7 +96,7 @@ class RosClient:
         wire = f"{package}::srv::dds_::{name}_"
         return f"{self.domain}/{service.strip('/')}/{wire}/{type_hash or HASHES[type_name]}"
 
-    def await_service(self, service: str, timeout_s: float = 10.0) -> None:
+    def await_service(self, service: str, timeout_s: float = 60.0) -> None:
         """Wait for the token of a service."""
         name = service.replace("/", "%")
         deadline_s = time.monotonic() + timeout_s

@@ -21,7 +21,7 @@ from rpod_security.rules import RosService, Rules
 KEYS = Namespace()
 SENSORS = {"emulator": (Sensor("pmd", "pmd"), Sensor("lidar", "lidar")), "driver": (Sensor("cam", "pmd"),)}
 """Sensors that members publish; the driver's is another than the emulator's."""
-LEFT_OUT = ("replay",)
+LEFT_OUT = ("replay", "link")
 """Roles that no facility has beside those whose place they take."""
 SERVICE = RosService("set_mode", "estimator", "operator")
 

@@ -209,6 +209,10 @@ def view(
     bind: Annotated[
         str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
     ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option("--token-file", help="File of the token for --bind on the network; made if not there."),
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
     ] = None,
@@ -220,7 +224,7 @@ def view(
     from rpod.command_view import view_log
     from rpod_schemas.config.view import ViewConfig
 
-    changes = {"target": target, "bind": bind, "save": save}
+    changes = {"target": target, "bind": bind, "token_file": token_file, "save": save}
     changes["viewer"] = None if web is None else "web" if web else "native"
     given = {name: value for name, value in changes.items() if value is not None}
     if logs:

@@ -14,13 +14,14 @@ from rich.table import Table
 
 from rpod.secure_run import ROLES as OF_A_RUN
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_schemas.config.base import load
 from rpod_schemas.config.rights import MemberConfig, RightsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import check
 from rpod_security.authority import FOLDER, Authority, Entry
 from rpod_security.credentials import AUTHORITY, IDENTITY, WARN_BEFORE, accept_certificate, write_request
 from rpod_security.errors import SecurityError
-from rpod_security.facility import named, read_rules, rules_of
+from rpod_security.facility import named, other_host, rules_of
 from rpod_security.roles import ROLES, ROUTER
 
 P = ParamSpec("P")
@@ -120,16 +121,18 @@ def revoke_command(folder: Path, names: Sequence[str]) -> None:
 
 
 @_told
-def rules_command(folder: Path, members: Path | None, *, out: Path | None) -> None:
-    """Write the access rules for the valid certificates."""
+def rules_command(folder: Path, members: Path | None, *, out: Path | None, router: str) -> None:
+    """Write the access rules of a router for the valid certificates."""
     authority = Authority.open(folder)
     if members:
-        rules = read_rules(members)
+        rights, place = load(RightsConfig, members), members
     else:
         roles = {name: MemberConfig(role=role) for name, role in OF_A_RUN.items()}
-        rules = rules_of(RightsConfig(members=roles), Path(), source="rpod run")
-    names = named(rules, [entry.identity for entry in authority.valid])
-    text = json.dumps(rules.access_control(names), indent=1) + "\n"
+        rights, place = RightsConfig(members=roles), Path("rpod run")
+    rules = rules_of(rights, place.parent, source=str(place))
+    identities = [entry.identity for entry in authority.valid]
+    names = named(rules, identities)
+    text = json.dumps(rules.access_control(names, other_host(rights, router, identities)), indent=1) + "\n"
     if out:
         out.write_text(text, "utf-8")
     else:

@@ -16,6 +16,7 @@ from typing import Literal
 
 from rpod.reserve import Reserve
 from rpod.resolved import ResolvedService
+from rpod_runtime.awake import AwakeClock, await_end
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.notify import IN_RESERVE
 from rpod_runtime.reserve import RESERVE
@@ -57,9 +58,17 @@ class Daemon:
     """A service and its present process. Everything runs in the keeper's one thread."""
 
     def __init__(
-        self, service: ResolvedService, *, state: Path, sockets: Path, backoff: BackoffConfig
+        self,
+        service: ResolvedService,
+        *,
+        state: Path,
+        sockets: Path,
+        backoff: BackoffConfig,
+        clock: AwakeClock | None = None,
     ) -> None:
         self.name, self.service = service.name, service
+        self._clock = clock or AwakeClock()
+        """Counts the keeper's own time: a keeper that stood still must not take the others for hanging."""
         self.state: DaemonState = "stopped"
         self.message = ""
         self.restarts = 0
@@ -70,8 +79,12 @@ class Daemon:
         self._backoff = Backoff(backoff)
         self.reserve = Reserve(service.name, lambda: self._spawn({RESERVE: "1"}))
         self._process: subprocess.Popen[bytes] | None = None
+        self._born_s = 0.0
+        """Time at which the process was started, monotonic clock; the other times are the keeper's own."""
         self._started_s = self._ready_s = self._heard_s = 0.0
         self._due_s = 0.0
+        self._hang_s = service.settings.hang_s
+        """Limit of the present process, which was told of it when it was started."""
         self._reason = ""
         self._address = sockets / service.name
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -86,7 +99,7 @@ class Daemon:
     @property
     def up_s(self) -> float:
         """Time since the present process was started, s."""
-        return time.monotonic() - self._started_s if self._process else 0.0
+        return time.monotonic() - self._born_s if self._process else 0.0
 
     def start(self) -> None:
         """Start a process, or call the one in reserve; where the machine has no room, try again later."""
@@ -96,8 +109,9 @@ class Daemon:
             self.last_end = f"could not be started: {error}"
             self._wait(0.0)
             return
-        self._started_s = self._heard_s = time.monotonic()
-        self._ready_s = 0.0
+        self._born_s = time.monotonic()
+        self._started_s = self._heard_s = self._clock.now_s()
+        self._ready_s, self._hang_s = 0.0, self.service.settings.hang_s
         self.state, self.message, self._reason = "starting", "", ""
         log.info("%s: started, process %d", self.name, self._process.pid)
 
@@ -134,8 +148,8 @@ class Daemon:
             elif self.state in ("starting", "ready"):
                 self._judge()
                 if self.state == "ready" and self.service.settings.reserve:
-                    self.reserve.tend(time.monotonic() - self._ready_s)
-        elif self.state == "waiting" and time.monotonic() >= self._due_s:
+                    self.reserve.tend(self._clock.now_s() - self._ready_s)
+        elif self.state == "waiting" and self._clock.now_s() >= self._due_s:
             self.restarts += 1
             self.start()
 
@@ -167,9 +181,7 @@ class Daemon:
             timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
             self.state = "stopping"
             self._process.terminate()
-            try:
-                self._process.wait(timeout_s)
-            except subprocess.TimeoutExpired:
+            if await_end(self._process, timeout_s) is None:
                 log.error("%s did not stop within %g s; it was killed", self.name, timeout_s)
                 self._process.kill()
                 self._process.wait()
@@ -192,7 +204,7 @@ class Daemon:
         if IN_RESERVE in told:
             self.reserve.warm()
             return
-        self._heard_s = time.monotonic()
+        self._heard_s = self._clock.now_s()
         self.message = told.get("STATUS", self.message)
         if "READY" in told and self.state == "starting":
             self.state, self._ready_s = "ready", self._heard_s
@@ -200,17 +212,17 @@ class Daemon:
 
     def _judge(self) -> None:
         """Kill a process that does not become ready in time, or whose main loop hangs."""
-        settings, now_s = self.service.settings, time.monotonic()
+        settings, now_s = self.service.settings, self._clock.now_s()
         late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
         if self.state == "starting" and late:
             self._reason = f"was not ready after {settings.start_timeout_s:g} s"
-        elif self.state == "ready" and now_s - self._heard_s > settings.hang_s:
-            self._reason = f"hung for {settings.hang_s:g} s"
+        elif self.state == "ready" and now_s - self._heard_s > self._hang_s:
+            self._reason = f"hung for {self._hang_s:g} s"
         if self._reason:
             self.send(signal.SIGKILL)  # its end is noticed in one of the next turns
 
     def _bury(self, code: int) -> None:
-        worked_s = time.monotonic() - self._ready_s if self._ready_s else 0.0
+        worked_s = self._clock.now_s() - self._ready_s if self._ready_s else 0.0
         how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
         self.last_end = f"{self._reason}, {how}" if self._reason else how
         self._release()
@@ -226,7 +238,7 @@ class Daemon:
 
     def _wait(self, worked_s: float) -> None:
         wait_s = self._backoff.next_s(worked_s)
-        self.state, self._due_s = "waiting", time.monotonic() + wait_s
+        self.state, self._due_s = "waiting", self._clock.now_s() + wait_s
         last = self._last_line()
         log.error(
             "%s: %s; to be started again in %g s; last line: %s", self.name, self.last_end, wait_s, last

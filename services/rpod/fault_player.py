@@ -16,6 +16,7 @@ from threading import Event, Lock, Thread
 
 from rpod.supervisor import Supervisor
 from rpod_runtime import Node, QueryFailedError
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
 from rpod_schemas.config.scenario import Scenario
@@ -30,8 +31,10 @@ _TURN_S = 0.01
 _SLOW_PERIOD_S = 0.1
 """Period in which a slow process stands still for its share of the time."""
 _ALWAYS_NS = 2**62
-_RECORD_S = 2.0
+_RECORD_S = 30.0
 """Longest time until the logger records again after its disk was full."""
+_TURN_MOST_S = 6.0
+"""Longest time that one question takes, unless this process stands still."""
 _BACK_S = 60.0
 """Longest time that a service may take to be at work again."""
 _RESTARTED = ("router", "emulator", "estimator", "logger")
@@ -171,13 +174,13 @@ class FaultPlayer:
 
     def _record_again(self) -> None:
         """Start a new log; the logger's own time of the fault ends a moment later."""
-        deadline_s = time.monotonic() + _RECORD_S
+        clock = AwakeClock(_TURN_MOST_S)
         while True:
             try:
                 self._node.ask("logger", "start", LogReply, LogRequest())
                 return
             except QueryFailedError:
-                if time.monotonic() > deadline_s:
+                if clock.now_s() > _RECORD_S:
                     raise
                 time.sleep(10 * _TURN_S)
 
@@ -189,11 +192,13 @@ class FaultPlayer:
     def _start_emulator(self) -> None:
         """Tell an emulator that was started again when the run began."""
         request = StartRequest(epoch_ns=self._epoch_ns, duration_s=self._scenario.duration_s)
-        deadline_s = time.monotonic() + _BACK_S
-        while time.monotonic() < deadline_s and not self._over.wait(10 * _TURN_S):
+        clock = AwakeClock(_TURN_MOST_S)
+        while not self._over.wait(10 * _TURN_S):
             try:
                 if self._node.ask("emulator", "status", StatusReply, timeout_s=0.5).state == "ready":
                     self._node.ask("emulator", "start", Accepted, request)
                     return
-            except QueryFailedError:
-                continue
+            except QueryFailedError as error:
+                if clock.now_s() > _BACK_S:
+                    log.error("the emulator that was started again makes no frames: %s", error)
+                    return

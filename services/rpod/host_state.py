@@ -10,8 +10,8 @@ from rpod.errors import AlreadyUpError
 from rpod_schemas.config.base import Config, check, read_document
 from rpod_schemas.config.facility import FacilityFile
 
-STOP_TIMEOUT_S = 20.0
-"""Longest time that one service may take to finish."""
+STOP_TIMEOUT_S = 60.0
+"""Longest time that one service may take to finish, on a loaded machine too."""
 _LOCK, _STATUS = "keeper.pid", "status.json"
 
 

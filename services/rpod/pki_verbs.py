@@ -122,12 +122,15 @@ def rules(
     out: Annotated[
         Path | None, typer.Option("--out", help="File to write; standard output by default.")
     ] = None,
+    router: Annotated[
+        str, typer.Option("--router", help="Name of the router, where two hosts have one each.")
+    ] = "router",
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Make the router's access rules of the facility's configuration and of the valid certificates."""
     from rpod.command_pki import rules_command
 
-    raise typer.Exit(rules_command(folder, members, out=out))
+    raise typer.Exit(rules_command(folder, members, out=out, router=router))
 
 
 @pki_verbs.command()

@@ -1,14 +1,12 @@
-"""Runs a service whose file is read again at SIGHUP; what cannot change without a restart is named."""
+"""Runs a service whose file is read again at SIGHUP, or when an operator asks for it."""
 
-import logging
 from collections.abc import Callable
 from threading import Event
 
 from pydantic import BaseModel
 
 from rpod_runtime import lifecycle
-
-log = logging.getLogger(__name__)
+from rpod_runtime.reloading import reloader
 
 
 def run_reloading(
@@ -18,16 +16,6 @@ def run_reloading(
     read: Callable[[], BaseModel] | None,
 ) -> int:
     """Run a service with a checked configuration; ``read`` reads it again. Return the exit code."""
-    started = checked.model_dump(mode="json")
-    level = str(started["log_level"])
-    if read is None:
-        return lifecycle.run(instance, body, log_level=level)
-
-    def reload() -> str:
-        new = read().model_dump(mode="json")
-        rest = sorted(name for name in new if name != "log_level" and new[name] != started.get(name))
-        if rest:
-            log.warning("a restart is needed for the changes of %s", ", ".join(rest))
-        return str(new["log_level"])
-
-    return lifecycle.run(instance, body, log_level=level, reload=reload)
+    reloader.begin(checked, read)
+    level = str(checked.model_dump(mode="json")["log_level"])
+    return lifecycle.run(instance, body, log_level=level, reload=reloader.reload)

@@ -12,12 +12,14 @@ from threading import Event
 from typing import Any, Self
 
 from rpod import __version__
+from rpod.draining import await_logged
 from rpod.errors import InterruptedRunError, NotReadyError
 from rpod.facility import Facility, Speed, configure
 from rpod.fault_player import FaultPlayer
 from rpod.progress import Progress
 from rpod.supervisor import Supervisor
 from rpod_runtime import Node, NoRouterError, QueryFailedError
+from rpod_runtime.awake import AwakeClock
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS
@@ -29,8 +31,14 @@ _READY_TIMEOUT_S = 240.0
 target."""
 _LEAD_S = 0.5
 """Time from the start query to the epoch."""
+_ANSWER_S = 60.0
+"""Longest time for the answer to a start query; a service is asked once, since it starts once."""
+_STARTS = 20
+"""Largest number of epochs that are tried, where the machine stands still for longer than the lead."""
+_TURN_S = 5.0
+"""Longest time that one look at all services takes, unless this process stands still."""
 _POLL_S = 0.1
-_VIEW = "view"
+_VIEW, _LOGGER = "view", "logger"
 
 
 @dataclass(frozen=True)
@@ -103,12 +111,23 @@ def play(
             _await_ready(node, services, facility, interrupted, progress)
             player = FaultPlayer(node, services, scenario)
             epoch_ns = _start(node, scenario, speed)
-            with player.playing(epoch_ns):
-                _await_end(node, services, interrupted, progress)
-            for verb in (*facility.services, _VIEW):
-                services.stop(verb)
+            try:
+                with player.playing(epoch_ns):
+                    _await_end(node, services, interrupted, progress)
+            except InterruptedRunError:
+                _stop(node, services, facility)
+                raise
+            _stop(node, services, facility)
         services.stop("proxy")
         services.stop("router")
+
+
+def _stop(node: Node, services: Supervisor, facility: Facility) -> None:
+    """Stop the services, publishers before their receivers, each when its messages are in the log."""
+    for verb in (*facility.services, _VIEW):
+        if verb in facility.services and verb != _LOGGER:
+            await_logged(node, verb, _LOGGER, check=services.check)
+        services.stop(verb)
 
 
 def _start_listeners_first(services: Supervisor, facility: Facility) -> None:
@@ -133,14 +152,14 @@ def _await_ready(
     node: Node, services: Supervisor, facility: Facility, interrupted: Event, progress: Progress
 ) -> None:
     waiting = {*facility.services, *(("proxy",) if facility.proxy else ())}
-    deadline_s = time.monotonic() + _READY_TIMEOUT_S
+    clock = AwakeClock(_TURN_S)
     while waiting:
         progress.say(f"waiting for {', '.join(sorted(waiting))}")
         for verb in sorted(waiting):
             _check(services, interrupted)
             if _state(node, verb) == "ready":
                 waiting.discard(verb)
-            elif time.monotonic() > deadline_s:
+            elif clock.now_s() > _READY_TIMEOUT_S:
                 raise NotReadyError(verb, _READY_TIMEOUT_S, services.log_of(verb))
         time.sleep(_POLL_S)  # a query returns at once while no service answers it
 
@@ -154,11 +173,14 @@ def _state(node: Node, verb: str) -> str:
 
 def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
     """Send epoch and duration to the emulator, then to the motion service; return the epoch, ns."""
-    lead_ns = round(_LEAD_S * NANOSECONDS)
-    epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + lead_ns
-    for verb in ("emulator", "motion"):
+    for _ in range(_STARTS):
+        begin_s = time.monotonic()
+        epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + round(_LEAD_S * NANOSECONDS)
         request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
-        node.ask(verb, "start", Accepted, request)
+        node.ask("emulator", "start", Accepted, request, timeout_s=_ANSWER_S)
+        if speed == "max" or time.monotonic() - begin_s < _LEAD_S / 2.0:
+            break  # else the epoch is near, or over: the emulator takes another one, motion would not
+    node.ask("motion", "start", Accepted, request, timeout_s=_ANSWER_S)
     return epoch_ns
 
 

@@ -18,11 +18,13 @@ from typing import Self
 from pydantic import BaseModel
 
 from rpod.errors import ServiceDiedError
+from rpod_runtime.awake import await_end
 from rpod_runtime.lifecycle import SUPERVISED
 
 log = logging.getLogger(__name__)
 
-_STOP_TIMEOUT_S = 20.0
+_STOP_TIMEOUT_S = 60.0
+"""Longest time that one service may take to finish, on a loaded machine too."""
 _TAIL_LINES = 8
 
 
@@ -136,11 +138,11 @@ class Supervisor:
             return
         process.terminate()
         try:
-            code = process.wait(_STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
-            process.kill()
-            code = process.wait()
+            code = await_end(process, _STOP_TIMEOUT_S)
+            if code is None:
+                log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
+                process.kill()
+                code = process.wait()
         finally:
             service.close()
         if code not in (0, -signal.SIGTERM) and not service.optional:

@@ -13,6 +13,7 @@ from rpod.daemon import Daemon, DaemonState
 from rpod.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
 from rpod.reserve import ReserveState
 from rpod.resolved import ResolvedFacility, resolve_facility
+from rpod_runtime.awake import AwakeClock
 from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
@@ -35,8 +36,9 @@ class Keeper:
 
     def __init__(self, facility: ResolvedFacility, sockets: Path) -> None:
         self._facility = facility
+        clock = AwakeClock()
         self._daemons = [
-            Daemon(service, state=facility.state, sockets=sockets, backoff=facility.file.backoff)
+            Daemon(service, state=facility.state, sockets=sockets, backoff=facility.file.backoff, clock=clock)
             for service in facility.services
         ]
         self._shown: list[tuple[DaemonState, int | None, ReserveState]] = []

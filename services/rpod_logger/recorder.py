@@ -13,6 +13,8 @@ from threading import Thread
 from types import TracebackType
 from typing import Self
 
+from pydantic import BaseModel
+
 from rpod_logger.backlog import Backlog, Command
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
 from rpod_logger.farewells import Endings
@@ -21,8 +23,9 @@ from rpod_logger.writer import WriterSettings, create_log, signing_key
 from rpod_runtime import Received
 from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
+from rpod_runtime.reloading import reloader
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.control import LogReply, StatusReply
+from rpod_schemas.control import LogReply, ReloadReply, StatusReply
 from rpod_schemas.errors import Reason
 from rpod_schemas.types import Health
 
@@ -69,7 +72,13 @@ class Recorder:
         self._full_until_s = float("-inf")
         self._thread = Thread(target=self._run, name="writer")
 
+    def _reconfigure(self, config: BaseModel, _: ReloadReply) -> None:
+        """Take the fields that may change: intervals and sizes at once, the folder with the next file."""
+        if isinstance(config, LoggerConfig):
+            self._config = config
+
     def __enter__(self) -> Self:
+        reloader.on_change(self._reconfigure)
         self._thread.start()
         return self
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 import zenoh
 from pydantic import BaseModel, ValidationError
 
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.identity import Identity
 from rpod_runtime.replies import error_text
@@ -57,13 +58,17 @@ class Asker:
 
     def _first_answer(self, key: str, payload: str, timeout_s: float) -> zenoh.Reply:
         """Return the first answer to a query; a service that has just started may not be known yet."""
-        begin_s = time.monotonic()
+        begin_s, clock = time.monotonic(), AwakeClock(5.0 * _RETRY_S)
         while True:
+            asked_s = time.monotonic()
             for answer in self._session.get(key, payload=payload, timeout=timeout_s):
                 return answer
-            waited_s = time.monotonic() - begin_s
-            if waited_s > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
-                raise QueryFailedError(key, f"no answer after {waited_s:.1f} s; is the service running?")
+            now_s = time.monotonic()  # a query that nobody serves ends at once, one without answer in time
+            is_unanswered = now_s - asked_s > 0.9 * timeout_s
+            if is_unanswered or clock.now_s() > min(_DISCOVERY_S, timeout_s) or self.stop.is_set():
+                raise QueryFailedError(
+                    key, f"no answer after {now_s - begin_s:.1f} s; is the service running?"
+                )
             self.stop.wait(_RETRY_S)
 
     def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:

@@ -47,13 +47,12 @@ def run(
     body: Callable[[threading.Event], None],
     *,
     log_level: str = "info",
-    reload: Callable[[], str] | None = None,
+    reload: Callable[[], object] | None = None,
 ) -> int:
     """Run a service's body until it returns or is stopped; return the exit code.
 
     The body receives the event that asks it to stop. An exception that it raises is logged here, once.
-    ``reload`` is called at each SIGHUP, in another thread than the body, and returns the new level of log
-    lines; without it SIGHUP changes nothing.
+    ``reload`` is called at each SIGHUP, in another thread than the body; without it SIGHUP changes nothing.
     """
     configure_logging(instance, logging.getLevelNamesMapping()[log_level.upper()])
     stop = Stop()
@@ -81,7 +80,7 @@ def run(
     return EXIT_OK
 
 
-def _heed_signals(stop: threading.Event, reload: Callable[[], str] | None) -> None:
+def _heed_signals(stop: threading.Event, reload: Callable[[], object] | None) -> None:
     """Heed signals in a thread of their own.
 
     A signal handler that set the event itself would hang if the main thread held the event's lock. The thread
@@ -95,7 +94,7 @@ def _heed_signals(stop: threading.Event, reload: Callable[[], str] | None) -> No
     threading.Thread(target=_read_signals, args=(reader, stop, reload), name="signals", daemon=True).start()
 
 
-def _read_signals(reader: int, stop: threading.Event, reload: Callable[[], str] | None) -> None:
+def _read_signals(reader: int, stop: threading.Event, reload: Callable[[], object] | None) -> None:
     asked = False  # not by the event: a supervisor that ends sets it too
     while True:
         (number,) = os.read(reader, 1)
@@ -109,17 +108,14 @@ def _read_signals(reader: int, stop: threading.Event, reload: Callable[[], str] 
             stop.set()
 
 
-def _reload(reload: Callable[[], str] | None) -> None:
+def _reload(reload: Callable[[], object] | None) -> None:
     if reload is None:
         log.warning("SIGHUP: started without a configuration file, nothing is read again")
         return
     try:
-        level = reload()
+        reload()
     except Exception as error:  # noqa: BLE001 - a wrong file must not end a service that works
         log.error("SIGHUP: the configuration stays as it is: %s", error)
-        return
-    logging.getLogger().setLevel(level.upper())
-    log.warning("SIGHUP: the configuration was read again; log_level is %s", level)
 
 
 def _stop_with_supervisor(stop: Stop) -> None:

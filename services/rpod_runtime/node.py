@@ -29,14 +29,15 @@ from rpod_runtime.inbox import Received
 from rpod_runtime.link import Link
 from rpod_runtime.notify import manager
 from rpod_runtime.publisher import Publisher
+from rpod_runtime.reloading import describe, reloader
 from rpod_runtime.reserve import await_turn
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
-from rpod_runtime.ros.parameters import Parameters
+from rpod_runtime.ros.parameters import Parameters, flatten
 from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.control import Accepted, Empty, StatusReply
+from rpod_schemas.control import Accepted, Empty, ReloadReply, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
@@ -104,6 +105,9 @@ class Node(Asker):
         self._stack.callback(self._ros.close)
         self.serve("status", Empty, lambda _: self.status())
         self.serve("shutdown", Empty, self._shut_down, ros=trigger(Empty))
+        if reloader.is_of(self.config):
+            self.serve("reload", Empty, lambda _: reloader.reload())
+            reloader.on_change(self._take_configuration)
         if self.config.bus.ros_services:
             self.parameters = self._ros.serve_parameters(
                 logged(self.config), use_sim_time=self.config.time_source == "clock"
@@ -318,6 +322,21 @@ class Node(Asker):
     def _shut_down(self, _: Empty) -> Accepted:
         self.stop.set()
         return Accepted()
+
+    def _take_configuration(self, config: BaseModel, reply: ReloadReply) -> None:
+        """Tell of a configuration that was read again: in status, diagnostics and the audit record."""
+        text = describe(reply)
+        self._identity.record(asker="its file", verb="reload", request=reply.model_dump_json(), outcome=text)
+        if isinstance(config, ServiceConfig):
+            self.config = config
+        for name, value in flatten(reply.changed):
+            self.parameters.offer(name, value)
+        self.health.tell("configuration/read_again", text)
+        names = ", ".join(reply.needs_restart)
+        self.health.alarm(
+            "configuration",
+            f"the file differs in {names}: restart the service, or correct it" if names else "",
+        )
 
     # --- life ---
 

@@ -30,6 +30,8 @@ _LARGEST_BYTES = 1 << 28
 """Largest message that is put together from fragments, bytes: more than the largest image or point cloud
 within the ICD's bounds. Zenoh's default lets a peer take 1 GiB of each of its receivers."""
 _RETRY_S = 0.25
+_LEAST_TRIES = 3
+"""Number of tries before a client gives up: a process that stood still for the time has had one."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
 _HANDSHAKE_MS, _PENDING = 1000, 4000
@@ -129,14 +131,17 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
     stop = stop or Event()
     started_s = time.monotonic()
     reminded_s = started_s
+    tries = 0
     while True:
+        tries += 1
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
             waited_s = time.monotonic() - started_s
             if not (bus.wait or stop.is_set()) and (refused := why_refused(bus)):
                 raise RefusedByRouterError(bus.connect, refused) from error
-            if stop.is_set() or (not bus.wait and waited_s >= bus.connect_timeout_s):
+            is_over = waited_s >= bus.connect_timeout_s and tries >= _LEAST_TRIES
+            if stop.is_set() or (not bus.wait and is_over):
                 raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
@@ -188,13 +193,21 @@ def open_router(config: RouterConfig) -> zenoh.Session:
         },
         adminspace={"enabled": False},
         unicast=unicast,
-        tls=_tls(config.credentials, listens=True),
+        tls=_router_tls(config),
         access_control=_access_control(config),
     )
     try:
         return zenoh.open(zenoh_config)
     except zenoh.ZError as error:
         raise EndpointError(config.listen, str(error).split(" at /")[0]) from error
+
+
+def _router_tls(config: RouterConfig) -> dict[str, Any] | None:
+    if config.credentials is None or config.link_credentials is None:
+        return _tls(config.credentials, listens=True)
+    from rpod_security.credentials import Credentials  # noqa: PLC0415 - of an extra
+
+    return Credentials.read(config.credentials).joining(Credentials.read(config.link_credentials))
 
 
 def _listening(config: RouterConfig) -> str:

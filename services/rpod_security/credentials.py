@@ -54,6 +54,10 @@ class Credentials:
         _check_private(folder / IDENTITY)
         return cls(folder, identity, min(certificate.not_valid_after_utc, authority.not_valid_after_utc))
 
+    def joining(self, link: "Credentials") -> dict[str, Any]:
+        """Return Zenoh's settings of a router that joins another one, by the certificate of its link."""
+        return link.tls(listens=False) | self.tls(listens=True)
+
     @property
     def warning(self) -> str:
         """Warning that the certificate ends soon, or has ended; empty if neither."""

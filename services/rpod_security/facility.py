@@ -15,8 +15,8 @@ from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
-from rpod_security.roles import ROLES, Member, Sensor, needs_sensors
-from rpod_security.rules import RosService, Rules
+from rpod_security.roles import LINK, ROLES, Member, Sensor, needs_sensors
+from rpod_security.rules import OtherHost, RosService, Rules
 
 MODELS: dict[str, type[ServiceConfig]] = {
     "motion": MotionServiceConfig,
@@ -95,6 +95,26 @@ def _by_configuration(
             source, "config", f"has another bus.domain or bus.namespace than {rights.keys}"
         )
     return member_of(name, member.role, config)
+
+
+def other_host(rights: RightsConfig, router: str, identities: Iterable[Identity]) -> OtherHost | None:
+    """Return who is on the other host, as one router has to know it; None if there is one router.
+
+    The other router is known by its certificate and by those of the role ``link``.
+
+    Raises:
+        RulesError: no member connects to the router, or there is no certificate for the link.
+    """
+    if router not in rights.routers:
+        raise RulesError(router, f"is no member's router; members name {', '.join(rights.routers)}")
+    others = [name for name in rights.routers if name != router]
+    if not others:
+        return None
+    known = [each for each in identities if each.name in others or each.role == LINK]
+    if not any(each.role == LINK for each in known):
+        raise RulesError(router, "no certificate joins the routers; make one with 'rpod pki issue link NAME'")
+    members = frozenset(name for name, member in rights.members.items() if member.router in others)
+    return OtherHost(members, tuple(each.common_name for each in known))
 
 
 def named(rules: Rules, identities: Iterable[Identity]) -> Mapping[str, str]:

@@ -35,7 +35,7 @@ from rpod_schemas.topics import (
     Topic,
 )
 
-ROUTER = "router"
+ROUTER, LINK = "router", "link"
 ANY = "*"
 _ESTIMATES = (
     ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY,
@@ -58,7 +58,7 @@ class Role:
     watches: bool = False
     """Whether it watches which publishers there are."""
     serves: tuple[str, ...] = ()
-    """Verbs that it serves beside ``status`` and ``shutdown``."""
+    """Verbs that it serves beside those of all services."""
     asks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Verbs that it asks, by the role that serves them; ``*`` stands for every role or verb."""
 
@@ -67,6 +67,7 @@ _STATUS_OF_ALL = {ANY: ("status",)}
 _EVERYTHING = tuple(topic for topic in TOPICS if not topic.name.startswith("<") and topic not in _ESTIMATES)
 
 ROLES: dict[str, Role] = {
+    LINK: Role("joins a router to that of another host; it may do what the members there may"),
     ROUTER: Role("the bus; its certificate serves no client"),
     "motion": Role(
         "publishes the truth, and the time in lockstep",
@@ -137,7 +138,7 @@ ROLES: dict[str, Role] = {
 }  # fmt: skip
 """Roles by name."""
 
-_VERBS = "status", "shutdown"
+_VERBS = "status", "shutdown", "reload"
 _OF_ALL = DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS
 
 

@@ -30,7 +30,7 @@ from rpod_schemas.topics import (
 )
 from rpod_schemas.wire import publisher_tokens, token_pattern
 from rpod_security.errors import RulesError
-from rpod_security.roles import ANY, ROUTER, Member
+from rpod_security.roles import ANY, LINK, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
@@ -49,6 +49,16 @@ class RosService:
     client: str
 
 
+@dataclass(frozen=True)
+class OtherHost:
+    """The router of another host, joined to this one: it speaks for the members there alone."""
+
+    members: frozenset[str]
+    """Names of the members that connect to it."""
+    common_names: tuple[str, ...]
+    """Common names by which it is known here: of its certificate, and of its link's."""
+
+
 class Rules:
     """Access rules of a facility."""
 
@@ -56,7 +66,7 @@ class Rules:
         self, keys: Namespace, members: Iterable[Member], services: Sequence[RosService] = ()
     ) -> None:
         self._keys = keys
-        clients = [member for member in members if member.role != ROUTER]
+        clients = [member for member in members if member.role not in (ROUTER, LINK)]
         prefixes = tuple(member.prefix for member in clients if member.role == "estimator")
         self.members = tuple(replace(member, prefixes=prefixes) for member in clients)
         _check_one_sender(self.members)
@@ -66,32 +76,36 @@ class Rules:
             for member in self.members
         }
 
-    def access_control(self, common_names: Mapping[str, str]) -> dict[str, Any]:
-        """Return Zenoh's configuration ``access_control``.
+    def access_control(
+        self, common_names: Mapping[str, str], other: OtherHost | None = None
+    ) -> dict[str, Any]:
+        """Return Zenoh's configuration ``access_control`` of one router.
 
         Args:
             common_names: common name of the valid certificate of each member that has one, by its name; a
                 member without one may do nothing.
+            other: the router of another host, if one is joined; its members have no rights here of their own.
         """
+        far = other.members if other else frozenset()
         rules: list[dict[str, Any]] = []
         subjects, policies = [], []
         for member in self.members:
-            if member.name not in common_names:
+            if member.name not in common_names or member.name in far:
                 continue
-            own = [
-                {
-                    "id": f"{member.name} {flow} {messages[0]} {number}",
-                    "permission": "allow",
-                    "flows": [flow],
-                    "messages": list(messages),
-                    "key_exprs": list(dict.fromkeys(key_exprs)),
-                }
-                for number, (flow, messages, key_exprs) in enumerate(self._of(member))
-                if key_exprs
-            ]
+            own = _allowed(member.name, self._of(member))
             rules += own
             subjects.append({"id": member.name, "cert_common_names": [common_names[member.name]]})
             policies.append({"rules": [rule["id"] for rule in own], "subjects": [member.name]})
+        if other is not None:
+            own = [
+                rule
+                for member in self.members
+                if member.name in far and member.name in common_names
+                for rule in _allowed(f"{LINK} {member.name}", [*self._of(member), *self._found_by(member)])
+            ]
+            rules += own
+            subjects.append({"id": LINK, "cert_common_names": list(other.common_names)})
+            policies.append({"rules": [rule["id"] for rule in own], "subjects": [LINK]})
         return {
             "enabled": True,
             "default_permission": "deny",
@@ -102,6 +116,17 @@ class Rules:
 
     def _of(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
         return [*self._publishing(member), *self._reading(member), *self._control(member)]
+
+    def _found_by(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+        """Return what a router tells the router of a member: where the member's questions are answered."""
+        served = [
+            self._keys.control(other.name, verb, ANY)
+            for other in self.members
+            for verb in (*member.asks(other), *(("status",) if member.asks_all else ()))
+        ]
+        services = [self._service(each) for each in self._services if each.client == member.name]
+        caches = _under(self._read[member.name], _PUBLISHERS)
+        return [("egress", ("declare_queryable",), [*caches, *served, *services])]
 
     def _publishing(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
         """Return the rules for what it publishes: topics, caches for missed messages, and tokens."""
@@ -171,6 +196,20 @@ class Rules:
         keys = [zenoh.KeyExpr(key) for key in own]
         read = dict.fromkeys(key for keys_read in self._read.values() for key in keys_read)
         return [key for key in read if any(zenoh.KeyExpr(key).intersects(each) for each in keys)]
+
+
+def _allowed(name: str, granted: Iterable[tuple[Flow, tuple[str, ...], list[str]]]) -> list[dict[str, Any]]:
+    return [
+        {
+            "id": f"{name} {flow} {messages[0]} {number}",
+            "permission": "allow",
+            "flows": [flow],
+            "messages": list(messages),
+            "key_exprs": list(dict.fromkeys(key_exprs)),
+        }
+        for number, (flow, messages, key_exprs) in enumerate(granted)
+        if key_exprs
+    ]
 
 
 def _check_one_sender(members: Sequence[Member]) -> None:

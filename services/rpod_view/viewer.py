@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event
@@ -68,14 +69,33 @@ def open_viewer(config: ViewConfig, stop: Event) -> Iterator[Viewer]:
             _save(recording, config.save)
             yield Viewer(recording, str(config.save))
             return
+        asked = config
+        if asked.is_open:  # Rerun's servers have no login: they listen here alone, behind the gate
+            config = config.model_copy(update={"bind": IPv4Address("127.0.0.1"), "port": 0, "web_port": 0})
         config = _with_ports(config)
-        is_web = config.viewer == "web" or (config.viewer is None and not has_display())
+        is_web = asked.is_open or config.viewer == "web" or (config.viewer is None and not has_display())
         process = stack.enter_context(_process(config, web=is_web))
         _await_listening(process, config, stop)
         recording.connect_grpc(config.data_url)
-        viewer = Viewer(recording, config.page_url if is_web else "a window", process)
+        where = config.page_url if is_web else "a window"
+        if asked.is_open and asked.token_file is not None:
+            where = stack.enter_context(_gate(asked, asked.token_file, config))
+        viewer = Viewer(recording, where, process)
         stack.callback(viewer.has_taken, _LAST_FLUSH_S)
         yield viewer
+
+
+@contextmanager
+def _gate(asked: ViewConfig, token_file: Path, here: ViewConfig) -> Iterator[str]:
+    """Open the gate to a viewer that listens here alone; yields what the operator is told."""
+    from rpod_view.gate import open_gate  # noqa: PLC0415 - few views are open to others
+
+    try:
+        with open_gate(asked, token_file, page_port=here.web_port, data_port=here.port) as address:
+            yield f"{address}, for who has the token in {token_file}"
+    except OSError as error:
+        how = f"cannot listen on {asked.bind}:{asked.web_port} ({error.strerror})"
+        raise ViewerFailedError(how) from error
 
 
 def _save(recording: rr.RecordingStream, path: Path) -> None:

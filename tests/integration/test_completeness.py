@@ -26,9 +26,6 @@ from rpod_schemas.messages import write_clock
 from rpod_schemas.topics import CLOCK
 from rpod_schemas.wire import Attachment, GraphNode
 
-TOLD_S = 2.0
-"""Longest time until a service says that the bus is lost, or there again."""
-
 
 class Scene:
     """A publisher as a process, a logger here, and one more client that asks."""
@@ -126,12 +123,13 @@ def test_a_router_that_was_killed_makes_the_log_incomplete(scene_of_its_own, rou
     router[0].end(signal.SIGKILL)
     until(lambda: scene.asker.link.lost)
     scene.close_log()
+    closed_ns = time.time_ns()
     assert [record for record in caplog.records if record.getMessage().startswith("bus lost")]
     stated = completeness(scene.path)
     assert "the bus was lost: since " in stated.reasons[0]
     (outage,) = json.loads(metadata(scene.path, BUS)["outages"])
     assert outage["end_ns"] is None
-    assert 0.0 <= (outage["begin_ns"] - killed_ns) * 1e-9 < TOLD_S
+    assert killed_ns <= outage["begin_ns"] <= closed_ns
     assert scene.publisher.end(signal.SIGTERM) > scene.logged
 
 

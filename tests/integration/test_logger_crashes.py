@@ -19,8 +19,6 @@ from rpod_schemas.messages import write_clock
 from rpod_schemas.topics import CLOCK
 
 SYNC_S = 0.2
-LOST_AT_MOST_S = 5 * SYNC_S
-"""Between two syncs, and what a busy machine adds."""
 
 
 @contextmanager
@@ -54,23 +52,24 @@ def test_a_killed_logger_leaves_all_but_the_last_moment(bus, tmp_path, seed):
     node = bus.node("publisher", namespace=namespace)
     clock = node.publisher(CLOCK)
     lasts_s = np.random.default_rng(seed).uniform(1.0, 2.0)
-    sent_s: list[float] = []
+    sent = kept = 0
     with logger_process(bus.endpoint, tmp_path / "logs", namespace) as process:
         await_logger(node)
         until_s = monotonic() + lasts_s
-        while monotonic() < until_s:
-            sent_s.append(monotonic())
-            clock.publish(write_clock(len(sent_s)))
+        log, channel = tmp_path / "logs" / "run.mcap", f"/{namespace}/clock"
+        while monotonic() < until_s or kept < 100:  # while more comes, what came before gets to the disk
+            assert monotonic() < until_s + TIMEOUT_S
+            sent += 1
+            clock.publish(write_clock(sent))
             node.stop.wait(0.002)
+            if sent % 50 == 0:
+                kept = len(readable(log, channel))
         process.send_signal(signal.SIGKILL)
-        killed_s = monotonic()
         process.wait()
-    log = tmp_path / "logs" / "run.mcap"
     left = log.read_bytes()
-    numbers = readable(log, f"/{namespace}/clock")
-    owed = sum(moment_s < killed_s - LOST_AT_MOST_S for moment_s in sent_s)
+    numbers = readable(log, channel)
     assert numbers == list(range(1, len(numbers) + 1))
-    assert len(numbers) >= owed > 0
+    assert sent >= len(numbers) >= kept
     assert "logger" in early_metadata(log, "configuration")
     with logger_process(bus.endpoint, tmp_path / "logs", namespace) as process:
         await_logger(node)

@@ -14,10 +14,11 @@ from rosbags.highlevel import AnyReader
 
 from rpod_logger.daemon import run
 from rpod_runtime import Inbox, QueryFailedError
+from rpod_runtime.reloading import reloader
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.cdr import encode, type_hash
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.control import LogReply, LogRequest, StatusReply
+from rpod_schemas.control import LogReply, LogRequest, ReloadReply, StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.messages import read_diagnostics, write_clock
 from rpod_schemas.poses import make_pose
@@ -25,7 +26,7 @@ from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE
 from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
 from rpod_schemas.wire import Attachment
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 CAMERA = Camera(width=352, height=287, fx=400.0, fy=400.0, cx=175.5, cy=143.0)
 INFO = PmdInfo(
     modulation_frequency_hz=[20e6], integration_time_s=1e-3, electrons_per_count=10.0, saturation_count=4e3
@@ -293,3 +294,29 @@ def test_the_ros_graph_shows_the_logger_as_subscriber_of_each_concrete_topic(bus
             node.stop.wait(0.05)
     assert wanted <= shown
     assert not [name for name in shown if "*" in name]
+
+
+def test_a_logger_that_reads_its_file_again_writes_its_next_file_elsewhere(bus, tmp_path):
+    config = LoggerConfig(bus=bus.config, directory=tmp_path / "first", name="run")
+    changed = config.model_copy(update={"directory": tmp_path / "second", "compression": "zstd"})
+    reloader.begin(config, lambda: changed)
+    asker, health = bus.node("asker"), Inbox()
+    asker.subscribe(DIAGNOSTICS, health.put)
+    with logger(config):
+        status_with(asker)
+        reply = asker.ask("logger", "reload", ReloadReply, timeout_s=TIMEOUT_S)
+        assert reply.changed == {"directory": str(tmp_path / "second")}
+        assert reply.needs_restart == ("compression",)
+        status = asker.ask("logger", "status", StatusReply, timeout_s=TIMEOUT_S)
+        assert status.configuration["directory"] == str(tmp_path / "second")
+        assert status.configuration["compression"] == "lz4"
+        path = Path(asker.ask("logger", "split", LogReply, timeout_s=TIMEOUT_S).path)
+        told = first(health, lambda received: differs(read_diagnostics(received.decode())))
+    assert path.parent == tmp_path / "second"
+    assert told[0].level == Health.WARN
+
+
+def differs(told):
+    """Return the logger's diagnostics that say that its file is another."""
+    text = "the file differs in compression: restart the service"
+    return [item for item in told if item.name == "logger" and text in item.values.get("configuration", "")]

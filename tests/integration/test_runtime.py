@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from threading import Event
 
 import numpy as np
@@ -346,17 +347,19 @@ def test_the_last_words_of_a_node_are_heard(bus):
 
 def tokens(session: zenoh.Session) -> set[str]:
     return {
-        str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/0/**", timeout=2.0) if reply.ok
+        str(reply.ok.key_expr)
+        for reply in session.liveliness().get("@ros2_lv/0/**", timeout=TIMEOUT_S)
+        if reply.ok
     }
 
 
 def tokens_of(session: zenoh.Session, node: str, *, count: int) -> list[str]:
     """Return a node's tokens once there are as many as expected: they take a moment to get around."""
-    for _ in range(100):
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while True:
         mine = [token for token in tokens(session) if token.split("/")[8] == node]
-        if len(mine) == count:
-            break
-    return mine
+        if len(mine) == count or time.monotonic() > deadline_s:
+            return mine
 
 
 def test_node_publishers_and_subscribers_are_seen_in_the_graph_until_the_node_ends(bus, bare):

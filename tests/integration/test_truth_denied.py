@@ -57,7 +57,7 @@ class Ears:
             self.sun.set()
 
     def query(self, selector: str) -> list[str]:
-        answers = self._session.get(selector, target=zenoh.QueryTarget.ALL, timeout=2.0)
+        answers = self._session.get(selector, target=zenoh.QueryTarget.ALL, timeout=TIMEOUT_S)
         return [str(answer.ok.key_expr) for answer in answers if answer.ok]
 
 

@@ -27,6 +27,19 @@ class Config(BaseModel):
     )
 
 
+class _Live:
+    """Marks a field that may change while its service runs."""
+
+
+LIVE = _Live()
+"""Beside the type of a field: a running service takes a new value when it reads its file again."""
+
+
+def live_fields(model: type[BaseModel]) -> tuple[str, ...]:
+    """Return the names of the fields of a configuration that may change while its service runs."""
+    return tuple(name for name, field in model.model_fields.items() if LIVE in field.metadata)
+
+
 _MOST_BYTES, _MOST_VALUES, _MOST_LEVELS = 8 << 20, 1_000_000, 50
 _TOO_DEEP = f"is nested more than {_MOST_LEVELS} levels deep; no field of a configuration is"
 Model = TypeVar("Model", bound=BaseModel)

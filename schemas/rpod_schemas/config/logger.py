@@ -1,11 +1,11 @@
 """Configuration of the logger: topics, files, and when a file is closed for the next one."""
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Name, Positive
+from rpod_schemas.config.base import LIVE, Name, Positive
 from rpod_schemas.config.service import ServiceConfig
 
 
@@ -14,23 +14,25 @@ class LoggerConfig(ServiceConfig):
 
     instance: Name = "logger"
     """Name on the bus."""
-    directory: Path = Path("runs")
-    """Folder of the logs; it is made if it is missing."""
+    directory: Annotated[Path, LIVE] = Path("runs")
+    """Folder of the logs; it is made if it is missing. It changes without a restart, for the next file."""
     name: str | None = Field(default=None, pattern=r"^[A-Za-z0-9._-]+$")
     """Stem of the file's name; the time of the start if left out."""
     compression: Literal["lz4", "zstd", "none"] = "lz4"
     """Compression of the chunks."""
     chunk_bytes: int = Field(default=1 << 20, ge=1 << 12, le=1 << 24)
     """Size of a chunk, bytes."""
-    sync_interval_s: Positive = 1.0
-    """Interval at which the open chunk is flushed and synced to the disk, s."""
+    sync_interval_s: Annotated[Positive, LIVE] = 1.0
+    """Interval at which the open chunk is flushed and synced to the disk, s. It changes without a restart."""
     queue_bytes: int = Field(default=256 << 20, ge=1 << 20)
     """Capacity of the queue between bus and disk, bytes."""
-    split_bytes: int = Field(default=3_500_000_000, ge=1 << 16)
+    split_bytes: Annotated[int, LIVE] = Field(default=3_500_000_000, ge=1 << 16)
     """Size at which a file is closed and the next one opened, bytes; it is below the limit of any file
-    system. It also bounds the index, which the writer keeps in memory until the close."""
-    split_interval_s: Positive | None = None
-    """Age at which a file is closed and the next one opened, s; no limit if left out."""
+    system. It also bounds the index, which the writer keeps in memory until the close. It changes
+    without a restart."""
+    split_interval_s: Annotated[Positive | None, LIVE] = None
+    """Age at which a file is closed and the next one opened, s; no limit if left out. It changes without a
+    restart."""
     reserve_bytes: int = Field(default=16 << 20, ge=1 << 16)
     """Space that is kept free on the disk, bytes, so that a file can be closed when the disk is full: for the
     chunk that did not fit, and for the index."""

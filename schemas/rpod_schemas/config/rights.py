@@ -30,6 +30,8 @@ class MemberConfig(Config):
     """Configuration file of the service; its sensors, prefix and extra topics become rights."""
     sensors: tuple[SensorGrant, ...] = ()
     """Sensors that it publishes, if there is no configuration file."""
+    router: Name = "router"
+    """Name of the router to which it connects; two hosts have a router each."""
 
 
 class RosServiceGrant(Config):
@@ -65,3 +67,14 @@ class RightsConfig(Config):
                 if member not in self.members:
                     raise ValueError(f"ros_services.{name}: {member!r} is no member")
         return self
+
+    @model_validator(mode="after")
+    def _two_routers_at_most(self) -> Self:
+        if len(self.routers) > 2:
+            raise ValueError(f"members connect to {', '.join(self.routers)}; two routers can be joined")
+        return self
+
+    @property
+    def routers(self) -> tuple[str, ...]:
+        """Names of the routers to which members connect."""
+        return tuple(sorted({member.router for member in self.members.values()}))

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Config, Name, Positive
+from rpod_schemas.config.base import LIVE, Config, Name, Positive
 from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
@@ -70,8 +70,8 @@ class ServiceConfig(Config):
     """Connection to the bus."""
     zenoh_id: str = Field(default="", pattern=r"^[0-9a-f]{0,32}$")
     """Zenoh identity by which the router's access rules know this client; random if empty."""
-    log_level: LogLevel = "info"
-    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
+    log_level: Annotated[LogLevel, LIVE] = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
     time_source: Literal["wall", "clock"] = "wall"
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
@@ -82,8 +82,8 @@ class RouterConfig(Config):
 
     instance: Name = "router"
     """Name of this process in its log lines."""
-    log_level: LogLevel = "info"
-    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP."""
+    log_level: Annotated[LogLevel, LIVE] = "info"
+    """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
     """Zenoh endpoint to listen on."""
     connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
@@ -94,6 +94,9 @@ class RouterConfig(Config):
     credentials: Path | None = None
     """Folder of the router's certificate and key, made by ``rpod pki init``. With it every client needs a
     certificate of the same authority, and may do what ``rules`` allow it."""
+    link_credentials: Path | None = None
+    """Folder of the certificate, of the role ``link``, by which the routers in ``connect`` know this one; of
+    the profile secure alone."""
     rules: Path | None = None
     """File of the access rules, made by ``rpod pki rules``."""
     handshake_timeout_s: float = Field(default=1.0, ge=0.01, le=10.0)
@@ -106,8 +109,14 @@ class RouterConfig(Config):
     @model_validator(mode="after")
     def _certificates_need_rules(self) -> Self:
         _check_tls("listen", self.listen, self.credentials)
-        if self.connect and self.credentials is not None:
-            raise ValueError("connect: routers of the profile secure cannot be joined yet; leave it out")
+        for endpoint in self.connect:
+            _check_tls("connect", endpoint, self.credentials)
+        joins = bool(self.connect) and self.credentials is not None
+        if joins != (self.link_credentials is not None):
+            raise ValueError(
+                "connect: a router of the profile secure needs link_credentials, a certificate of the role "
+                "link, to join others, and none without (rpod pki issue link NAME)"
+            )
         if (self.credentials is None) != (self.rules is None):
             raise ValueError(
                 "credentials and rules make the profile secure together: give both (rpod pki rules) or none"

@@ -30,7 +30,10 @@ class ViewConfig(ServiceConfig):
     viewer: Literal["native", "web"] | None = None
     """Viewer: a window or a web page; if left out, a window if there is a display."""
     bind: IPvAnyAddress = IPv4Address("127.0.0.1")
-    """Address at which the viewer can be reached."""
+    """Address at which the viewer can be reached; one of the network needs ``token_file``."""
+    token_file: Path | None = None
+    """File with the token that a browser has to give, where ``bind`` is an address of the network; made,
+    readable by its owner alone, if it is not there."""
     port: Port = 0
     """Port of the data; a free one if 0."""
     web_port: Port = 0
@@ -48,6 +51,26 @@ class ViewConfig(ServiceConfig):
                 "from strangers: leave bind out, and reach the viewer by an SSH tunnel"
             )
         return self
+
+    @model_validator(mode="after")
+    def _the_network_needs_a_token(self) -> Self:
+        if self.bind.is_loopback:
+            return self
+        if self.token_file is None:
+            raise ValueError(
+                f"bind is {self.bind}, where others can reach the viewer: give token_file (--token-file), or "
+                "leave bind out and reach the viewer by an SSH tunnel"
+            )
+        if self.viewer == "native":
+            raise ValueError(
+                f"bind is {self.bind}, but a window needs no address: leave bind out, or use web"
+            )
+        return self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can reach the viewer, by its token."""
+        return not self.bind.is_loopback
 
     @property
     def data_url(self) -> str:

@@ -11,6 +11,7 @@ import zenoh
 from rpod import __version__
 from rpod.doctor.finding import CAMERA_FRAME_BYTES, CAMERA_HZ, Finding, Level
 from rpod_runtime.asker import Asker
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.identity import open_identity
 from rpod_runtime.session import open_client
 from rpod_schemas.config.service import BusConfig, ServiceConfig
@@ -91,8 +92,8 @@ def _delay_s(session: zenoh.Session, key: str, payload: bytes, timeout_s: float)
 
 def _first_delay_s(session: zenoh.Session, key: str) -> float | None:
     """Return the time of the first answer, once the queryable is known; None if it never is."""
-    end_s = time.monotonic() + _SEEN_S
-    while time.monotonic() < end_s:
+    clock = AwakeClock()
+    while clock.now_s() < _SEEN_S:
         delay_s = _delay_s(session, key, b".", 1.0)
         if delay_s is not None:
             return delay_s

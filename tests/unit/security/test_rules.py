@@ -9,13 +9,15 @@ from rpod_logger.selection import patterns
 from rpod_schemas.config.base import check
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.rights import RightsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.topics import SENT_BY, TOPICS, TRUTH_TOPICS, Namespace
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
-from rpod_security.facility import member_of, named, read_rules
+from rpod_security.facility import member_of, named, other_host, read_rules
+from rpod_security.facility import rules_of as rules_of_rights
 from rpod_security.roles import ROLES, Member, Sensor
-from rpod_security.rules import Rules
+from rpod_security.rules import OtherHost, Rules
 from rpod_view.scene import pose_topics, sensor_topics
 
 ICD = Path(__file__).parents[3] / "schemas" / "ICD.md"
@@ -193,3 +195,28 @@ def test_a_wrong_file_of_members_is_refused_by_field(tmp_path: Path, text: str, 
 
 def test_every_role_has_a_title():
     assert all(role.title for role in ROLES.values())
+
+
+def test_the_other_host_is_known_by_its_router_and_link_and_has_its_members():
+    rights = RightsConfig.model_validate(
+        {
+            "members": {
+                "logger": {"role": "logger"},
+                "estimator": {"role": "estimator", "router": "control"},
+            }
+        }
+    )
+    issued = [Identity("router", "router"), Identity("control", "router", 2), Identity("join", "link")]
+    here = other_host(rights, "router", issued)
+    assert here == OtherHost(frozenset({"estimator"}), ("control.2", "join.1"))
+    assert other_host(rights, "control", issued).members == {"logger"}
+    with pytest.raises(RulesError, match="rpod pki issue link"):
+        other_host(rights, "router", issued[:2])
+    with pytest.raises(RulesError, match="members name control, router"):
+        other_host(rights, "elsewhere", issued)
+    rules = rules_of_rights(rights, Path(), source="test").access_control(
+        {"logger": "logger.1", "estimator": "estimator.1"}, here
+    )
+    assert [each["id"] for each in rules["subjects"]] == ["logger", "link"], "who is there has no rights here"
+    alone = RightsConfig.model_validate({"members": {"logger": {"role": "logger"}}})
+    assert other_host(alone, "router", issued) is None

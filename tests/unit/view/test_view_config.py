@@ -18,7 +18,7 @@ def test_a_view_stays_on_this_machine_unless_told_otherwise():
     [("192.0.2.7", "192.0.2.7"), ("0.0.0.0", "127.0.0.1"), ("::", "[::1]"), ("::1", "[::1]")],  # noqa: S104
 )
 def test_data_go_to_where_the_viewer_listens(bind, host):
-    config = check(ViewConfig, {"bind": bind, "port": 1}, source="test")
+    config = check(ViewConfig, {"bind": bind, "port": 1, "token_file": "token"}, source="test")
     assert config.data_url == f"rerun+http://{host}:1/proxy"
 
 

@@ -1,0 +1,74 @@
+"""A clock for patience: it counts the time in which this process ran, not the time that passed.
+
+A process that stood still for seconds (a loaded machine, a suspended one) has messages waiting that it has
+not handled yet. By the monotonic clock it would conclude that the others had been silent, or too slow. By
+this clock it first gives them the rest of their time.
+"""
+
+import subprocess
+import time
+from collections.abc import Callable
+from threading import Event, Lock, Thread
+from typing import Self
+
+_TURN_S = 0.25
+
+
+class AwakeClock:
+    """Counts seconds; the time between two calls of ``now_s`` counts as ``longest_s`` at most.
+
+    Args:
+        longest_s: longest time between two calls of a process that does not stand still, s.
+        now_s: the clock that does not stand still, s.
+    """
+
+    def __init__(self, longest_s: float = 1.0, *, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._longest_s, self._clock_s = longest_s, now_s
+        self._last_s, self._awake_s = now_s(), 0.0
+
+    def now_s(self) -> float:
+        """Return the time in which this process was awake since the clock was made, s."""
+        now_s = self._clock_s()
+        self._awake_s += min(max(now_s - self._last_s, 0.0), self._longest_s)
+        self._last_s = now_s
+        return self._awake_s
+
+
+class TickingClock(AwakeClock):
+    """An awake clock that a thread keeps going, for a process that waits in a call of others; a context."""
+
+    def __init__(self, tick_s: float = 0.02) -> None:
+        super().__init__(5.0 * tick_s)
+        self._tick_s, self._over, self._lock = tick_s, Event(), Lock()
+        self._thread = Thread(target=self._tick, name="clock", daemon=True)
+
+    def now_s(self) -> float:
+        """Return the time in which this process was awake since the clock was made, s."""
+        with self._lock:
+            return super().now_s()
+
+    def _tick(self) -> None:
+        while not self._over.wait(self._tick_s):
+            self.now_s()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def await_end(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
+    """Wait for the end of a process; return its exit code.
+
+    None is returned after ``limit_s``, s, in which this process was awake.
+    """
+    clock = AwakeClock(2.0 * _TURN_S)
+    while (left_s := limit_s - clock.now_s()) > 0.0:
+        try:
+            return process.wait(min(left_s, _TURN_S))
+        except subprocess.TimeoutExpired:
+            continue
+    return None

@@ -1,0 +1,73 @@
+"""A service is stopped when its messages are in the log."""
+
+from collections import deque
+
+import pytest
+
+from rpod import draining
+from rpod.draining import await_logged
+from rpod_runtime import QueryFailedError
+from rpod_schemas.control import StatusReply
+
+PUBLISHED = {"published/truth/odometry": 100, "published/thinned/image_raw": 7}
+
+
+class Bus:
+    """Stands for a node; the logger gives one answer after the other, and repeats the last one."""
+
+    def __init__(self, *heard: dict[str, int] | None) -> None:
+        self._heard = deque(heard)
+        self.asked = 0
+
+    def ask(self, instance, _verb, _reply, **_):
+        counters = PUBLISHED
+        if instance == "logger":
+            self.asked += 1
+            counters = self._heard.popleft() if len(self._heard) > 1 else self._heard[0]
+        if counters is None:
+            raise QueryFailedError("key", "no answer")
+        return StatusReply(
+            name=instance, version="test", state="running", uptime_s=1.0, counters=counters, configuration={}
+        )
+
+
+class Clock:
+    """A clock by which each look takes half a second, whatever the machine does."""
+
+    def __init__(self, _longest_s: float) -> None:
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        self._now_s += 0.5
+        return self._now_s
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    monkeypatch.setattr(draining, "_POLL_S", 0.0)
+    monkeypatch.setattr(draining, "AwakeClock", Clock)
+
+
+def received(count: int, missed: int = 0) -> dict[str, int]:
+    return {"received/truth/odometry": count, "missed/truth/odometry": missed}
+
+
+@pytest.mark.parametrize("last", [received(100), received(98, missed=2)])
+def test_the_messages_are_waited_for_also_while_the_logger_does_not_answer(last):
+    bus = Bus(received(40), None, received(60), last)
+    assert await_logged(bus, "motion", "logger", check=lambda: None)
+    assert bus.asked == 4
+
+
+@pytest.mark.parametrize("heard", [received(40), None], ids=["without progress", "without answer"])
+def test_the_wait_ends_and_is_told_where_nothing_comes(heard, caplog):
+    assert not await_logged(Bus(heard), "motion", "logger", check=lambda: None)
+    assert "of motion the logger has not received" in caplog.text
+
+
+def test_nobody_waits_for_a_logger_that_has_died():
+    def check() -> None:
+        raise RuntimeError("died")
+
+    with pytest.raises(RuntimeError):
+        await_logged(Bus(received(40)), "motion", "logger", check=check)
