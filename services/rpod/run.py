@@ -173,15 +173,17 @@ def _state(node: Node, verb: str) -> str:
 
 def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
     """Send epoch and duration to the emulator, then to the motion service; return the epoch, ns."""
+    request = StartRequest(epoch_ns=scenario.epoch_ns, duration_s=scenario.duration_s)
     for _ in range(_STARTS):
         begin_s = time.monotonic()
-        epoch_ns = scenario.epoch_ns if speed == "max" else time.time_ns() + round(_LEAD_S * NANOSECONDS)
-        request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
+        if speed != "max":
+            epoch_ns = time.time_ns() + round(_LEAD_S * NANOSECONDS)
+            request = request.model_copy(update={"epoch_ns": epoch_ns})
         node.ask("emulator", "start", Accepted, request, timeout_s=_ANSWER_S)
         if speed == "max" or time.monotonic() - begin_s < _LEAD_S / 2.0:
             break  # else the epoch is near, or over: the emulator takes another one, motion would not
     node.ask("motion", "start", Accepted, request, timeout_s=_ANSWER_S)
-    return epoch_ns
+    return request.epoch_ns
 
 
 def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: Progress) -> None:

@@ -22,6 +22,7 @@ class Track(Protocol):
 
     def covers(self, stamp_ns: int) -> bool:
         """Return whether all readings up to a stamp are there."""
+        ...
 
 
 TrackT = TypeVar("TrackT", bound=Track)
