@@ -173,17 +173,18 @@ def _state(node: Node, verb: str) -> str:
 
 def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
     """Send epoch and duration to the emulator, then to the motion service; return the epoch, ns."""
-    request = StartRequest(epoch_ns=scenario.epoch_ns, duration_s=scenario.duration_s)
+    epoch_ns = scenario.epoch_ns
     for _ in range(_STARTS):
         begin_s = time.monotonic()
         if speed != "max":
             epoch_ns = time.time_ns() + round(_LEAD_S * NANOSECONDS)
-            request = request.model_copy(update={"epoch_ns": epoch_ns})
+        request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
         node.ask("emulator", "start", Accepted, request, timeout_s=_ANSWER_S)
         if speed == "max" or time.monotonic() - begin_s < _LEAD_S / 2.0:
             break  # else the epoch is near, or over: the emulator takes another one, motion would not
+    request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
     node.ask("motion", "start", Accepted, request, timeout_s=_ANSWER_S)
-    return request.epoch_ns
+    return epoch_ns
 
 
 def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: Progress) -> None:
