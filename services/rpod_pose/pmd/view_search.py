@@ -33,8 +33,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import logit
-from scipy.stats import chi2
+from scipy.special import chdtri, logit
 
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
@@ -52,7 +51,7 @@ from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
-CLEAR_LOG = 0.5 * float(chi2.ppf(0.95, df=1))
+CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
 """Difference of two log likelihoods from which one of them is preferred: a likelihood-ratio test at 95 %."""
 
 
