@@ -54,7 +54,7 @@ _CHANGE_POLL_S = 0.1
 _FLOW_PERIOD_S = 0.9
 """Least time over which the rate of what arrives is taken, s: less than between two heartbeats."""
 _LINGER_S = 0.3
-"""Time that a node stays open after its last message, so that receivers can recover what they missed."""
+"""Time that a node stays open after its last numbers, so that receivers can recover what they missed."""
 
 _TOKENS_S = 10.0
 """Longest wait for the router's answer; one without tokens would let a check report no publisher."""
@@ -124,9 +124,9 @@ class Node(Asker):
         serves = self.state in ("ready", "running", "finished")
         self.state = "failed" if kind else "stopping"
         self.stop.set()
-        last_s = max((each.last_s for each in self._publishers if each.topic != DIAGNOSTICS), default=0.0)
-        if serves and (linger_s := last_s + _LINGER_S - time.monotonic()) > 0:
-            time.sleep(linger_s)
+        if serves:
+            self._last_beat()  # once more at the end: this one can still be recovered
+            time.sleep(_LINGER_S)
         self._stack.close()
 
     @property
