@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -26,6 +27,7 @@ _WAITING = 2
 """Number of trials in the queue for each process: enough to keep it busy, few to lose."""
 _EXIT_S = 5.0
 """Longest wait for the exit code of a process that ended, s."""
+_POLL_S = 0.01
 
 
 def cores() -> int:
@@ -52,8 +54,13 @@ class _Processes:
 
     def why_ended(self) -> str:
         """Return how the first process ended that did not end normally."""
+        deadline_s = time.monotonic() + _EXIT_S
         for process in self.started:
             process.join(_EXIT_S)
+            while process.exitcode is None and time.monotonic() < deadline_s:
+                time.sleep(
+                    _POLL_S
+                )  # the pool's own thread may have reaped it, and tells the code in a moment
         codes = [process.exitcode for process in self.started if process.exitcode]
         first = next((code for code in codes if code != -signal.SIGTERM), None)
         return how_ended(first if first is not None else next(iter(codes), None))
