@@ -27,8 +27,6 @@ class Publisher:
         self.topic = topic
         self._gid = secrets.token_bytes(GID_BYTES)
         self._sequence = 0
-        self.last_s = float("-inf")
-        """Time of the last publication, monotonic clock."""
         self._lock = Lock()
         self._publisher = zenoh.ext.declare_advanced_publisher(
             session,
@@ -61,7 +59,6 @@ class Publisher:
         """Publish the CDR bytes of a message of the topic's type."""
         with self._lock:
             self._sequence += 1
-            self.last_s = time.monotonic()
             attachment = Attachment(self._sequence, since_ns or time.time_ns(), self._gid)
             self._publisher.put(payload, attachment=attachment.pack())
 
