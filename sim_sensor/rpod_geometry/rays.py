@@ -20,9 +20,6 @@ from rpod_geometry.lens import undistort
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
-NEAR_M = 0.05
-"""Least z of the corners of a triangle that is tested on a block of rays; nearer ones are tested on all."""
-
 
 class Envelope(NamedTuple):
     """Non-decreasing bounds of the slopes of a grid's lines: columns (x/z) or rows (y/z)."""
@@ -262,11 +259,37 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
 @kernel
 def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) -> tuple[int, int]:
     """Return the first and last + 1 of the lines that may hit a triangle: rows for axis 1, columns for 0."""
-    if min(corner[0, 2], corner[1, 2], corner[2, 2]) < NEAR_M:
-        return 0, lower.size
-    a, b, c = corner[0, axis] / corner[0, 2], corner[1, axis] / corner[1, 2], corner[2, axis] / corner[2, 2]
-    first = np.searchsorted(upper, min(a, b, c), side="left")
-    return first, np.searchsorted(lower, max(a, b, c), side="right")
+    least, most = np.inf, -np.inf
+    for i in range(3):
+        j = (i + 1) % 3
+        low, high = slopes_ahead(corner[i, axis], corner[i, 2], corner[j, axis], corner[j, 2])
+        least, most = min(least, low), max(most, high)
+    first = np.searchsorted(upper, least, side="left")
+    return first, np.searchsorted(lower, most, side="right")
+
+
+@kernel
+def slopes_ahead(a: float, a_z: float, b: float, b_z: float) -> tuple[float, float]:
+    """Return the least and the greatest slope x/z, or y/z, of the part of a line that is ahead of the sensor.
+
+    A line that passes the plane z = 0 at x > 0 has slopes up to infinity ahead of it, and at x < 0 down to
+    minus infinity. Those of a triangle are between those of its sides. The result is inf, -inf for a line
+    that is behind the sensor: then no ray meets it but those of lines that look backwards, whose slopes are
+    unbounded.
+
+    Args:
+        a: x or y of one end, m.
+        a_z: its z, m.
+        b: x or y of the other end, m.
+        b_z: its z, m.
+    """
+    if a_z > 0.0 and b_z > 0.0:
+        one, other = a / a_z, b / b_z
+        return min(one, other), max(one, other)
+    if not (a_z > 0.0 or b_z > 0.0):
+        return np.inf, -np.inf
+    slope, passes = (a / a_z, b * a_z - a * b_z) if a_z > 0.0 else (b / b_z, a * b_z - b * a_z)
+    return (slope if passes > 0.0 else -np.inf), (slope if passes < 0.0 else np.inf)
 
 
 @kernel

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import distort, undistort
-from rpod_geometry.rays import Hits, RayGrid, cast, cast_pose
+from rpod_geometry.rays import Hits, RayGrid, cast, cast_pose, slopes_ahead
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages.lenses import coefficients
@@ -264,3 +264,19 @@ def test_a_block_of_a_grid_meets_what_its_rays_meet_in_the_whole(grid: RayGrid) 
         np.testing.assert_array_equal(range_m, whole.range_m[rows, columns])
         met += np.count_nonzero(triangle >= 0)
     assert met > 0
+
+
+@given(ends=st.tuples(*[st.floats(-5.0, 5.0)] * 4))
+def test_the_slopes_of_a_line_are_those_of_its_part_ahead(ends: tuple[float, float, float, float]) -> None:
+    a, a_z, b, b_z = ends
+    low, high = slopes_ahead(a, a_z, b, b_z)
+    along = np.linspace(0.0, 1.0, 1001)
+    x, z = a + along * (b - a), a_z + along * (b_z - a_z)
+    slopes = x[z > 1e-9] / z[z > 1e-9]
+    assert (
+        (low - 1e-6 * (1.0 + abs(slopes)) <= slopes) & (slopes <= high + 1e-6 * (1.0 + abs(slopes)))
+    ).all()
+    if a_z > 0.1 and b_z < -0.1 and abs(a * b_z - b * a_z) > 1.0:  # its slopes are unbounded on one side only
+        assert np.isinf(low) != np.isinf(high)
+    if max(a_z, b_z) <= 0.0:
+        assert low > high

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, kernel
-from rpod_geometry.rays import NEAR_M, GridArrays
+from rpod_geometry.rays import GridArrays, slopes_ahead
 from rpod_pose.lidar.scan_likelihood import Assumptions, Rays
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.surface_model import Faces
@@ -187,15 +187,13 @@ def _ends(pose: PoseArrays, ends_m: FloatArray) -> tuple[Vector, Vector]:
 @inlined_kernel
 def _block(grid: GridArrays, start: Vector, end: Vector) -> Block:
     """Return the rows and columns of the grid that an edge may cross."""
-    if min(start.z, end.z) < NEAR_M:
-        return Block(0, grid.row_lower.size, 0, grid.column_lower.size)
-    x0, x1 = start.x / start.z, end.x / end.z
-    y0, y1 = start.y / start.z, end.y / end.z
+    left, right = slopes_ahead(start.x, start.z, end.x, end.z)
+    top, bottom = slopes_ahead(start.y, start.z, end.y, end.z)
     return Block(
-        _from(grid.row_upper, min(y0, y1), True),
-        _from(grid.row_lower, max(y0, y1), False),
-        _from(grid.column_upper, min(x0, x1), True),
-        _from(grid.column_lower, max(x0, x1), False),
+        _from(grid.row_upper, top, True),
+        _from(grid.row_lower, bottom, False),
+        _from(grid.column_upper, left, True),
+        _from(grid.column_lower, right, False),
     )
 
 
