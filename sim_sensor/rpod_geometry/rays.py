@@ -264,8 +264,8 @@ def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) 
         j = (i + 1) % 3
         low, high = slopes_ahead(corner[i, axis], corner[i, 2], corner[j, axis], corner[j, 2])
         least, most = min(least, low), max(most, high)
-    first = np.searchsorted(upper, least, side="left")
-    return first, np.searchsorted(lower, most, side="right")
+    first, last = np.searchsorted(upper, least, side="left"), np.searchsorted(lower, most, side="right")
+    return int(first), int(last)
 
 
 @kernel
