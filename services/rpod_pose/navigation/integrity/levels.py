@@ -28,6 +28,7 @@ from functools import cache
 from math import ceil, degrees, log10
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import chdtri, gammainccinv, ndtr, ndtri
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
@@ -169,8 +170,7 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
     With z = rho u, u on the unit sphere, the length is rho g(u). Length and direction of z are independent,
     so that P(|x| > r) is the mean of P(rho > r / g(u)) over the sphere, an octant of it for symmetry.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    height, weight = 0.5 * (nodes + 1.0), 0.5 * weights
+    height, weight = _nodes()
     angle = 0.5 * np.pi * height
     around = (middle * np.cos(angle)) ** 2 + (least * np.sin(angle)) ** 2
     g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
@@ -181,10 +181,16 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
         return float(weight @ beyond @ weight) - probability
 
     low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
-    while high - low > _CLOSE:
-        middle_of_both = 0.5 * (low + high)
-        low, high = (middle_of_both, high) if excess(middle_of_both) > 0.0 else (low, middle_of_both)
-    return high
+    if not (excess(low) > 0.0 > excess(high)):  # a line, or alike along all axes
+        return low if excess(low) <= 0.0 else high
+    return min(high, brentq(excess, low, high, xtol=0.5 * _CLOSE) + 0.5 * _CLOSE)
+
+
+@cache
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    """Return places and weights of the quadrature from 0 to 1, shape (N,) each."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    return 0.5 * (nodes + 1.0), 0.5 * weights
 
 
 @cache

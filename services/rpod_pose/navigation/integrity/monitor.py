@@ -231,7 +231,8 @@ class Monitor:
         They are those over all fault hypotheses. If these are above the limits because one of several
         sensors alone is not good enough, they are those of a single sensor: any of its frames may be wrong,
         and what it cannot see is as large as declared. So a second sensor takes nothing away. A part of a
-        sensor's data whose own error is above the limit takes nothing away either.
+        sensor's data whose own error is above the limit takes nothing away either, nor do sizes that no frame
+        can exclude, if the levels with them are above the limits.
         """
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
@@ -259,11 +260,10 @@ class Monitor:
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
                 solutions.append(part)
-        for size in between:
-            if vague := _above(levels_of([solutions[0], size]), *limit):
-                less = f"{SIZE_DECLARED}: {vague}"
-            else:
-                solutions.append(size)
+        if between and (over := _above(levels_of([*solutions, *between]), *limit)):
+            less = f"{SIZE_DECLARED}: {over}"
+        else:
+            solutions += between
         of_sensors = [
             solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
             for name, other in memory.without.items()

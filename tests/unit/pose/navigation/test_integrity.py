@@ -10,7 +10,13 @@ from rpod_pose.navigation.filter import POSE, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.inside import Inside
 from rpod_pose.navigation.integrity.levels import Solution, length_quantile, protection_levels
-from rpod_pose.navigation.integrity.monitor import DECLARED_ONLY, SIZE_BELIEVED, Memory, Monitor
+from rpod_pose.navigation.integrity.monitor import (
+    DECLARED_ONLY,
+    SIZE_BELIEVED,
+    SIZE_DECLARED,
+    Memory,
+    Monitor,
+)
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.sensors.streams import Stream
@@ -289,6 +295,18 @@ def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, l
     assert levels.attitude_deg == pytest.approx(level_deg, abs=0.3)
     (test,) = told.tests(10.0, 0.0, 1.0)
     assert test.fails(1e-6) == fails
+
+
+def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_is(track):
+    follow(track, PMD_S)
+    stamp_ns = track.state.history.state.stamp_ns
+    told = []
+    for step_m in np.linspace(0.0, 0.05, 51):
+        sizes = tuple(OtherSize(share, -60.0, np.eye(6)[2] * step_m) for share in (-0.03, 0.03))
+        track.memory = replace(track.memory, inside=inside(other_sizes=sizes))
+        told.append(track.judge(stamp_ns, sensor="pmd"))
+    assert {each.state for each in told} == {IntegrityState.NOMINAL, IntegrityState.CAUTION}
+    assert all((SIZE_DECLARED in each.reason) == (each.state is IntegrityState.CAUTION) for each in told)
 
 
 def test_sizes_of_frames_within_a_second_count_as_one():
