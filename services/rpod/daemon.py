@@ -16,9 +16,10 @@ from typing import Literal
 
 from rpod.reserve import Reserve
 from rpod.resolved import ResolvedService
-from rpod_runtime.awake import AwakeClock, await_end
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.notify import IN_RESERVE
+from rpod_runtime.processes import end_process
 from rpod_runtime.reserve import RESERVE
 from rpod_schemas.config.facility import BackoffConfig
 
@@ -180,11 +181,8 @@ class Daemon:
         if self._process is not None:
             timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
             self.state = "stopping"
-            self._process.terminate()
-            if await_end(self._process, timeout_s) is None:
+            if end_process(self._process, timeout_s).forced:
                 log.error("%s did not stop within %g s; it was killed", self.name, timeout_s)
-                self._process.kill()
-                self._process.wait()
             self._release()
         self.state = "stopped"
 
