@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.base import live_fields
-from rpod_schemas.control import ReloadReply
+from rpod_schemas.reload import ReloadReply
 
 log = logging.getLogger(__name__)
 
