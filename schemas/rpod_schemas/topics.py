@@ -199,7 +199,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
     COMMAND.name: ("guidance",),
     IMU.name: ("chaser", "motion"),
-    BODY.name: ("robots",),
+    BODY.name: ("robots", "motion"),
     FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip
