@@ -52,11 +52,11 @@ class BodyReport:
 
     Args:
         node: the estimator's node.
-        book: what the frames have shown.
+        bodies: the bodies; None if none is known.
     """
 
-    def __init__(self, node: Node, book: BodyBook) -> None:
-        self._node, self._book = node, book
+    def __init__(self, node: Node, bodies: KnownBodies | None) -> None:
+        self._node, self._book = node, bodies.book if bodies else BodyBook()
         self._told: dict[str, Verdict] = {}
 
     def update(self) -> None:

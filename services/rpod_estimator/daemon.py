@@ -52,7 +52,7 @@ def _serve(
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         inputs = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
-        bodies = BodyReport(node, estimator.body_book)
+        bodies = BodyReport(node, estimator.bodies)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon, searches=live)

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.measurement import Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
@@ -20,7 +20,6 @@ from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
 from rpod_pose.surroundings.bodies import KnownBodies, KnownBodiesError
-from rpod_pose.surroundings.body_check import BodyBook
 from rpod_pose.surroundings.known import (
     KnownParts,
     KnownSurroundingsError,
@@ -63,8 +62,6 @@ class Estimator:
         self._known: dict[str, KnownParts] = {}
         self.bodies = self._known_bodies()
         """Known bodies beside the target, whose poses a receiver adds; None for none."""
-        self.body_book = BodyBook()
-        """What the frames have shown of these bodies."""
         self._tell_unreliable_parts()
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
@@ -199,18 +196,10 @@ class Estimator:
                 measurement = replace(measurement, data=left)
             except KnownSurroundingsError as error:
                 return self._rejected(arrived, str(error))
-            self._check_bodies(measurement)
         self._state, output = self._navigator.step(self._state, measurement)
         self._searches.keep(self._state.searches.values())
         self._log_change(before, output)
         return output
-
-    def _check_bodies(self, measurement: Measurement) -> None:
-        """Note whether a frame shows the known bodies where they are said to be."""
-        if self.bodies is not None:
-            axes = measurement.T_chaser_sensor.rotation.as_matrix()
-            for seen in self.bodies.seen:
-                self.body_book.take(measurement.sensor, seen, axes)
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result; call it once for each.

@@ -25,10 +25,18 @@ LEAST_RAYS = 20
 """Least number of rays that should meet a body, and that nothing hides, by which it is judged."""
 LEAST_SHARE = 0.5
 """Least share of these rays that must end on it: the other half may be dark, or too steep for a range."""
+MOST_BEYOND = 0.1
+"""Greatest share of its rays with a range that may end beyond a body: none does within its tolerance."""
 FARTHEST_STEPS = 8
 """Greatest offset at which the shape is looked for, in tolerances, along each direction."""
 FOUND_SHARE, ENDS_SHARE = 0.6, 0.4
 """Least share of the shape that is found at an offset, and how much less of what surrounds it may agree."""
+THICK = 0.1
+"""Least share of a body's rays farther than its tolerance from its outline, so that it is not thin."""
+STEEPEST = 0.2
+"""Least cosine of incidence by which a distance along a ray is turned into one from the surface."""
+LEAST_SEEN = 0.75
+"""Least share of the shape that must be in the image at an offset."""
 BETTER_SHARE = 0.2
 """Least share by which more of the shape is found at an offset than at its announced place."""
 NEAREST_FIRST = 0.03
@@ -61,9 +69,25 @@ class Place(NamedTuple):
     """Least range of its surface, if it is off by its tolerance, same shape."""
     farthest_m: Float32Array
     """Greatest range, same shape, not above the tolerance on rays far from it."""
+    cosine: FloatArray
+    """Cosine of incidence of the rays that meet it, same shape."""
     tolerance_m: float
     reach: int
     """Number of rays that its tolerance spans."""
+
+    def agreeing(self, measured_m: Float32Array) -> NDArray[np.bool_]:
+        """Return the rays whose measured ranges, 0 without one, are those of the body, shape (rows, columns).
+
+        The distance from its surface counts, not that along the ray. A body thinner than its tolerance may be
+        beside its rays altogether.
+        """
+        met, measured = np.isfinite(self.rendered_m), measured_m > 0.0
+        shape = np.ones((2 * self.reach + 1, 2 * self.reach + 1), np.uint8)
+        if np.count_nonzero(cv2.erode(met.view(np.uint8), shape)) < THICK * np.count_nonzero(met):
+            return measured & (measured_m >= self.nearest_m) & (measured_m <= self.farthest_m)
+        away_m = np.abs(measured_m - np.where(met, self.rendered_m, 0.0)) * np.maximum(self.cosine, STEEPEST)
+        agrees: NDArray[np.bool_] = measured & met & (away_m <= self.tolerance_m)
+        return agrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,24 +117,25 @@ def sighting(body: str, image: RangeImage, place: Place) -> Sighting:
     met, measured_m = np.isfinite(place.rendered_m), image.range_m
     shape = np.ones((2 * place.reach + 1, 2 * place.reach + 1), np.uint8)
     measured = measured_m > 0.0
-    agreeing = measured & (measured_m >= place.nearest_m) & (measured_m <= place.farthest_m)
-    near = cv2.dilate(agreeing.view(np.uint8), shape).view(np.bool_)
+    near = cv2.dilate(place.agreeing(measured_m).view(np.uint8), shape).view(np.bool_)
     in_place = int(np.count_nonzero(met & near))
     beyond = int(np.count_nonzero(met & ~near & measured & (measured_m > place.farthest_m)))
     missing = int(np.count_nonzero(met & ~near & ~measured))
     every, rays = int(np.count_nonzero(met)), in_place + beyond + missing
-    if every < LEAST_RAYS or in_place >= LEAST_SHARE * every:
-        verdict = Verdict.IN_PLACE if every >= LEAST_RAYS else Verdict.HIDDEN
-        return Sighting(body, verdict, place.tolerance_m, rays, in_place, beyond)
+    passed = beyond > MOST_BEYOND * (in_place + beyond)
+    if every < LEAST_RAYS:
+        return Sighting(body, Verdict.HIDDEN, place.tolerance_m, rays, in_place, beyond)
+    if in_place >= LEAST_SHARE * every and not passed:
+        return Sighting(body, Verdict.IN_PLACE, place.tolerance_m, rays, in_place, beyond)
     offset_m = _offset(image, place, met, in_place / every)
     if offset_m is not None:
         verdict = Verdict.ELSEWHERE
     elif rays < LEAST_RAYS:
         verdict = Verdict.HIDDEN
-    elif in_place >= LEAST_SHARE * rays:
-        verdict = Verdict.IN_PLACE
+    elif passed:
+        verdict = Verdict.ELSEWHERE
     else:
-        verdict = Verdict.ELSEWHERE if beyond >= missing else Verdict.UNSEEN
+        verdict = Verdict.IN_PLACE if in_place >= LEAST_SHARE * rays else Verdict.UNSEEN
     return Sighting(body, verdict, place.tolerance_m, rays, in_place, beyond, offset_m)
 
 
@@ -178,11 +203,13 @@ def _offset(
 
 
 def _medians(off_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-    """Return the median of each row; infinite if half of the rays are not in the image, or have no range."""
+    """Return the median of each row; infinite if too few rays are in the image, or have a range."""
     returned = np.isfinite(off_m).sum(axis=1)
     ordered = np.sort(off_m, axis=1)  # NaN comes last
     medians_m: FloatArray = ordered[np.arange(len(ordered)), returned // 2]
-    usable = (2 * returned > seen.sum(axis=1)) & (2 * seen.sum(axis=1) >= seen.shape[1]) & (returned > 0)
+    usable = (
+        (2 * returned > seen.sum(axis=1)) & (seen.sum(axis=1) >= LEAST_SEEN * seen.shape[1]) & (returned > 0)
+    )
     return np.where(usable, medians_m, np.inf)
 
 
@@ -221,18 +248,27 @@ class BodyBook:
     """Number of frames by body, sensor and verdict."""
     _records: dict[tuple[str, str], _Record] = field(default_factory=dict)
 
-    def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> None:
-        """Add what a frame of a sensor shows; its axes in the chaser's have shape (3, 3)."""
+    def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
+        """Add what a frame of a sensor shows; return whether the body's pose is believed for this frame.
+
+        It is not where the sensor has seen the body elsewhere ``FRAMES`` times, and this frame shows nothing
+        else.
+
+        Args:
+            sensor: name of the sensor.
+            seen: what the frame shows.
+            R_chaser_sensor: the sensor's axes in the chaser's, shape (3, 3).
+        """
         self.counts[seen.body, sensor, seen.verdict] += 1
-        if seen.verdict is Verdict.HIDDEN:
-            return
         record = self._records.setdefault((seen.body, sensor), _Record())
-        record.in_a_row = record.in_a_row + 1 if seen.verdict is record.newest else 1
-        record.newest = seen.verdict
-        if record.in_a_row >= FRAMES:
-            record.state = seen.verdict
-        if record.state is seen.verdict:
-            record.text = told(sensor, seen, R_chaser_sensor)
+        if seen.verdict is not Verdict.HIDDEN:
+            record.in_a_row = record.in_a_row + 1 if seen.verdict is record.newest else 1
+            record.newest = seen.verdict
+            if record.in_a_row >= FRAMES:
+                record.state = seen.verdict
+            if record.state is seen.verdict:
+                record.text = told(sensor, seen, R_chaser_sensor)
+        return record.state is not Verdict.ELSEWHERE or seen.verdict is Verdict.IN_PLACE
 
     @property
     def states(self) -> Iterator[tuple[str, str, Verdict, str]]:
@@ -252,7 +288,7 @@ def told(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
             "the sensor's picture"
         )
     remedy = (
-        "what it hides is not used, and its own pixels may be taken for the target: check the encoders and "
+        "it is not taken out of the frames, and may be taken for the target: check the encoders and "
         f"the base of its robot, its pose in the file of surroundings and the mount of {sensor}, or raise "
         f"its tolerance_m ({seen.tolerance_m:g})"
     )

@@ -6,8 +6,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.surroundings.bodies import KnownBodies
-from rpod_pose.surroundings.body_check import FRAMES, BodyBook, Sighting, Verdict, told
+from rpod_pose.surroundings.bodies import KnownBodies, Surface, placed
+from rpod_pose.surroundings.body_check import FRAMES, BodyBook, Sighting, Verdict, sighting, told
 from rpod_pose.surroundings.separation import RangeImage
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import make_pose
@@ -30,12 +30,13 @@ def frame(*shapes, grid=GRID):
 
 
 def seen(image, tmp_path, tolerance_m=0.05) -> Sighting:
+    surface = Surface.of("limb", body(tmp_path, tolerance_m), tmp_path)
+    return sighting("limb", image, placed(image, surface, make_pose()))
+
+
+def body(tmp_path, tolerance_m=0.05) -> KnownBody:
     LIMB.export(tmp_path / "limb.stl")
-    body = KnownBody(file="limb.stl", metres_per_unit=1.0, pose=ANNOUNCED, tolerance_m=tolerance_m)
-    known = KnownBodies.of({"limb": body}, tmp_path)
-    known.hiding(image, 0, make_pose())
-    (found,) = known.seen
-    return found
+    return KnownBody(file="limb.stl", metres_per_unit=1.0, pose=ANNOUNCED, tolerance_m=tolerance_m)
 
 
 def moved(x, y, z):
@@ -121,3 +122,13 @@ def test_a_state_changes_after_frames_in_a_row_of_one_sensor_and_hidden_ones_do_
     for _ in range(FRAMES):
         book.take("pmd", Sighting("limb", Verdict.IN_PLACE, 0.05, 100, 100, 0), axes)
     assert not any(text for *_, text in book.states)
+
+
+def test_a_body_that_is_seen_elsewhere_hides_nothing_until_it_is_in_its_place_again(tmp_path):
+    known = KnownBodies.of({"limb": body(tmp_path)}, tmp_path)
+    away, right = (frame((LIMB, moved(x, 0.0, 0.0)), wall(4.0)) for x in (0.25, 0.0))
+    hidden = [known.hiding(away, stamp, make_pose(), "pmd").sum() for stamp in range(FRAMES + 1)]
+    assert [count > 0 for count in hidden] == [True] * (FRAMES - 1) + [False] * 2
+    assert known.hiding(right, 9, make_pose(), "pmd").sum() > 0
+    assert known.hiding(away, 10, make_pose(), "pmd").sum() == 0
+    assert known.hiding(away, 11, make_pose(), "lidar").sum() > 0
