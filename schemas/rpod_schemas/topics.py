@@ -205,6 +205,9 @@ SENT_BY: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""
 
+OF_MANY: tuple[Topic, ...] = (TF, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS)
+"""Topics that several services publish at the same time, each its own content."""
+
 ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
 """Topics that stand outside of all namespaces."""
 

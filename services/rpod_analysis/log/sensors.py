@@ -13,7 +13,7 @@ from rpod_analysis.log.log import Log, Logged
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.frames import ICD, SensorReader, assembler_of, open_reader
-from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_pmd_info
@@ -144,9 +144,13 @@ def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
 
 def as_received(logged: Logged) -> Received:
     """Return a logged message in the form in which a service receives it."""
-    attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
+    gid = bytes.fromhex(logged.gid) or bytes(GID_BYTES)
+    attachment = Attachment(logged.sequence, logged.publish_ns, gid)
     topic = Topic(logged.topic, logged.type)
-    return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
+    payload, arrival_s = memoryview(logged.payload), logged.log_ns / NANOSECONDS
+    return Received(
+        topic, logged.topic, payload, attachment, logged.log_ns, arrival_s, session=logged.session
+    )
 
 
 def sensor_frames(
