@@ -16,11 +16,11 @@ from rpod_runtime.frames import ICD, SensorReader, assembler_of, open_reader
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_pmd_info
+from rpod_schemas.messages import read_lidar_info, read_pmd_info
 from rpod_schemas.poses import Pose
 from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
-from rpod_schemas.topics import CHASER, PMD_INFO, Topic
-from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.topics import CHASER, LIDAR_INFO, PMD_INFO, Topic
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
 from rpod_schemas.wire import GID_BYTES, Attachment
 
 
@@ -139,6 +139,16 @@ def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
     for logged in log.messages(PMD_INFO.of(sensor)):
         with log.unreadable.left_out(logged):
             info = read_pmd_info(logged.decode())
+    return info
+
+
+def lidar_info(log: Log, sensor: str) -> LidarInfo | None:
+    """Return the last info with a scan pattern that a LIDAR published; None if there is none."""
+    info: LidarInfo | None = None
+    for logged in log.messages(LIDAR_INFO.of(sensor)):
+        with log.unreadable.left_out(logged):
+            said = read_lidar_info(logged.decode())
+            info = said if said.azimuth_rad.size and said.elevation_rad.size else info
     return info
 
 
