@@ -42,7 +42,7 @@ def _readings(log: Log, bodies: KnownBodies, unused: Counter[str]) -> Iterator[t
     for logged, hold in of_holders(log, *frames, unused=unused):
         try:
             reading = checked(read_odometry(logged.decode()))
-        except MessageRejectedError:
+        except MessageRejectedError:  # the live estimator did not use it either
             continue
         hold()
         yield frames[logged.topic], reading

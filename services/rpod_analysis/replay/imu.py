@@ -41,7 +41,7 @@ def _readings(log: Log, config: DynamicsConfig, unused: Counter[str]) -> Iterato
     for logged, hold in of_holders(log, IMU.name, unused=unused):
         try:
             reading = checked(read_imu(logged.decode()), config)
-        except MessageRejectedError:
+        except MessageRejectedError:  # the live estimator did not use it either
             continue
         hold()
         yield reading
