@@ -193,7 +193,8 @@ def _offset(
     best = int(np.argmax(score))
     if score[best] == -np.inf or share[best] < in_place_share + BETTER_SHARE:
         return None
-    row, column, rendered_m = (each[seen[best]] for each in inside)
+    found = seen[best]
+    row, column, rendered_m = inside.row[found], inside.column[found], inside.rendered_m[found]
     directions: FloatArray = image.grid.directions
     down, right = shifts[best]
     before_m = rendered_m[:, None] * directions[row, column]
