@@ -1,6 +1,7 @@
 """A recorder without a bus, and what its logs hold."""
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -84,8 +85,7 @@ def completeness(path: Path | str) -> Completeness:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    messages = {
-        summary.channels[number].topic: count
-        for number, count in summary.statistics.channel_message_counts.items()
-    }
+    messages: Counter[str] = Counter()
+    for number, count in summary.statistics.channel_message_counts.items():
+        messages[summary.channels[number].topic] += count
     return check_completeness(metadata(path, COMPLETENESS), metadata(path, COUNTS), messages)

@@ -47,6 +47,9 @@ HASH_METADATA = "topic_type_hash"
 """Channel metadata: RIHS01 hash of the type, as rosbag2 names it."""
 KEY_METADATA = "key"
 """Channel metadata of a key that is no known ROS topic: the key of publication."""
+GID_METADATA, SESSION_METADATA = "publisher", "session"
+"""Channel metadata of a topic that has one publisher at a time: gid of the publisher, hexadecimal digits, and
+Zenoh identity of its session. Another publisher of the same topic has a channel of its own."""
 ENCODING_METADATA = "encoding"
 """Channel metadata of a key that is no known ROS topic: the encoding that the publisher stated."""
 
@@ -81,8 +84,7 @@ class Numbers(Config):
     """Range of sequence numbers of one publisher instance in a file, without the repeated messages.
 
     The ranges of all publishers of a topic together are the sequence numbers of its messages, except for
-    missed ones. They allow a reader to count the messages again, although a message does not name its
-    publisher.
+    missed ones. They allow a reader to count the messages again.
     """
 
     key: str

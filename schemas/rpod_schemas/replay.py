@@ -1,5 +1,7 @@
 """Result of a replay of a log: the new estimates compared with the old ones."""
 
+from pydantic import Field
+
 from rpod_schemas.config.base import Config, NonNegative
 from rpod_schemas.summary import (
     Consistency,
@@ -61,6 +63,14 @@ class ReplayReport(Config):
     """Number of frames that the live run used and that the log does not contain."""
     refused: dict[str, int]
     """Number of messages that could not be used, by topic."""
+    second_publisher: dict[str, int] = Field(default_factory=dict)
+    """Number of messages that were not used because another publisher held the topic, by topic."""
+    undivided: dict[str, int] = Field(default_factory=dict)
+    """Number of publishers of each topic whose messages the log does not tell apart, so that all are used."""
+    resets: Count = 0
+    """Number of logged resets that were repeated."""
+    unknown_resets: Count = 0
+    """Number of logged resets whose request is not in the log, so that they were not repeated."""
     processing_s: Durations | None
     """Processing time of the frames given to the estimator, s, on this machine."""
     old: Side | None

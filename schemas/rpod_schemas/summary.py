@@ -52,6 +52,21 @@ class InputAccount(Config):
     """Frames that were not used, by kind of reason."""
 
 
+class BodyAccount(Config):
+    """What the frames of a sensor have shown of a known body, by the estimator's own account."""
+
+    in_place: Count = 0
+    """Number of frames that show it where its pose says."""
+    elsewhere: Count = 0
+    """Number of frames that do not, although it must be seen there."""
+    unseen: Count = 0
+    """Number of frames in which it gives no ranges, so that it is not checked."""
+    hidden: Count = 0
+    """Number of frames in which too little of it is visible to judge."""
+    last: str = ""
+    """The last sentence that told the operator of it, with figures and remedy."""
+
+
 class EstimateCount(Config):
     """Numbers of frames and estimates."""
 
@@ -307,6 +322,8 @@ class Summary(Config):
     """Numbers of frames and estimates."""
     inputs: dict[str, InputAccount] = Field(default_factory=dict)
     """What became of the frames of each sensor at the estimator."""
+    bodies: dict[str, dict[str, BodyAccount]] = Field(default_factory=dict)
+    """What the sensors' frames have shown of known bodies, by body, then by sensor."""
     modes: Tracking
     """Shares of tracking."""
     error: ErrorSummary | None

@@ -199,11 +199,14 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
     COMMAND.name: ("guidance",),
     IMU.name: ("chaser", "motion"),
-    BODY.name: ("robots",),
+    BODY.name: ("robots", "motion"),
     FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip
 """Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""
+
+OF_MANY: tuple[Topic, ...] = (TF, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS)
+"""Topics that several services publish at the same time, each its own content."""
 
 ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
 """Topics that stand outside of all namespaces."""

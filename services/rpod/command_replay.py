@@ -163,6 +163,10 @@ def _replay(
         frames=replayed.frames,
         missing=replayed.missing,
         refused=replayed.refused,
+        second_publisher=replayed.second_publisher,
+        undivided=replayed.undivided,
+        resets=replayed.resets,
+        unknown_resets=replayed.unknown_resets,
         processing_s=summarise_durations(Column(np.array(replayed.processing_s))),
         old=compared.old,
         new=compared.new,
@@ -220,4 +224,14 @@ def _tell_report(report: ReplayReport) -> None:
         console.print(f"{report.missing} frames of the live run are not in the log")
     for name, count in report.refused.items():
         console.print(f"{count} messages of {name} could not be used")
+    for name, count in report.second_publisher.items():
+        console.print(f"{count} messages of {name} are not used: another publisher held the topic")
+    for name, publishers in report.undivided.items():
+        told = "the log does not tell which of them sent which message, so that all are used"
+        console.print(f"{name} had {publishers} publishers; {told}")
+    if report.resets:
+        console.print(f"{report.resets} resets of the live run are repeated")
+    if report.unknown_resets:
+        told = "their requests are not in the log"
+        console.print(f"{report.unknown_resets} resets of the live run are not repeated: {told}")
     console.print(f"log   {report.out}", soft_wrap=True, highlight=False)

@@ -1,13 +1,18 @@
 """Poses of known bodies as an input of the estimator, such as those of the links of the robot's arm."""
 
+import logging
+
 from rpod_estimator.stamped_input import StampedInput
 from rpod_pose.surroundings.bodies import FrameTrack, KnownBodies
+from rpod_pose.surroundings.body_check import BodyBook, Verdict
 from rpod_runtime import Node, Received
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_odometry
 from rpod_schemas.topics import BODY, CHASER
 from rpod_schemas.types import Odometry
+
+log = logging.getLogger(__name__)
 
 
 class BodyInput(StampedInput[FrameTrack]):
@@ -40,6 +45,33 @@ class BodyInput(StampedInput[FrameTrack]):
     def is_known(self, track: FrameTrack, stamp_ns: int) -> bool:
         """Return whether the pose of a body at a stamp is known."""
         return track.at(stamp_ns) is not None
+
+
+class BodyReport:
+    """Tells the operator of known bodies that sensors do not see where they are said to be.
+
+    Args:
+        node: the estimator's node.
+        bodies: the bodies; None if none is known.
+    """
+
+    def __init__(self, node: Node, bodies: KnownBodies | None) -> None:
+        self._node, self._book = node, bodies.book if bodies else BodyBook()
+        self._told: dict[str, Verdict] = {}
+
+    def update(self) -> None:
+        """Write counters and texts into the diagnostics, and a line into the log when a state changes."""
+        health = self._node.health
+        for (body, sensor, verdict), frames in self._book.counts.items():
+            health.put(f"bodies/{body}/{sensor}/{verdict}", frames)
+        for body, sensor, state, text in self._book.states:
+            name = f"body/{body}/{sensor}"
+            health.alarm(name, text if state is Verdict.ELSEWHERE else "")
+            health.tell(name, text if state is Verdict.UNSEEN else "")
+            if state is not self._told.get(name, Verdict.IN_PLACE):
+                level = logging.INFO if state is Verdict.IN_PLACE else logging.WARNING
+                log.log(level, "%s", text or f"{sensor} sees the known body {body} in its place again")
+            self._told[name] = state
 
 
 def checked(reading: Odometry) -> Odometry:

@@ -4,7 +4,7 @@ import time
 from contextlib import ExitStack
 from threading import Event
 
-from rpod_estimator.body_input import BodyInput
+from rpod_estimator.body_input import BodyInput, BodyReport
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.imu_input import ImuInput
@@ -52,6 +52,7 @@ def _serve(
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         inputs = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
+        bodies = BodyReport(node, estimator.bodies)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, validity, beacon, searches=live)
@@ -70,11 +71,13 @@ def _serve(
                             service.publish(output)
                     service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
+                bodies.update()
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
                 for heard in inputs:
                     heard.hear_up_to(arrived.stamp_ns)
                 service.process(arrived)
+            bodies.update()
 
 
 class _Service:

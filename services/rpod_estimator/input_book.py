@@ -133,9 +133,7 @@ class SensorBook:
             )
         if self.repeats < LEAST_FRAMES:
             return OK
-        text = (
-            f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; is the sensor frozen?"
-        )
+        text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
         return InputState(Health.WARN, text)
 
     def _silence(self, silent_s: float, *, others: bool) -> str:

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_runtime.extrinsics import differ
+from rpod_runtime.extrinsics import apart, differ
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.poses import chained, rotation_of
 
 _MAY_CHANGE = frozenset({"integration_time_s"})
 """Fields of an info that a sensor changes by itself: its exposure."""
@@ -66,10 +65,7 @@ class SetupCheck:
 
 def _difference(known: Setup, setup: Setup) -> str:
     if differ(known.T_chaser_sensor, setup.T_chaser_sensor):
-        step = chained(known.T_chaser_sensor.inv(), setup.T_chaser_sensor)
-        moved_m = float(np.linalg.norm(step.translation))
-        turned_deg = float(np.rad2deg(rotation_of(step).magnitude()))
-        return f"the mount has moved by {moved_m:.3f} m and {turned_deg:.2f} deg"
+        return f"the mount has moved by {apart(known.T_chaser_sensor, setup.T_chaser_sensor)}"
     if known.info is None or known.info is setup.info:
         return ""
     before, now = dict(known.info), dict(setup.info)

@@ -156,7 +156,10 @@ class Subscriptions:
             if part not in assembler.lasting:
                 self._check_freshness(received, stamp_ns)
             if stamp_ns == assembler.done_ns and part in assembler.required:
-                raise MessageRejectedError(Reason.DUPLICATE, "the frame of this stamp is already complete")
+                raise MessageRejectedError(
+                    Reason.DUPLICATE,
+                    f"the frame of {stamp_ns} ns is already complete; let the driver send each part once",
+                )
         except MessageRejectedError as error:
             if leads:
                 self.health.books[sensor].hear(received.arrival_s)

@@ -22,6 +22,7 @@ from rpod_schemas.cdr import definition
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.logs import (
     ENCODING_METADATA,
+    GID_METADATA,
     HASH_METADATA,
     KEY_METADATA,
     MESSAGE_ENCODING,
@@ -30,8 +31,9 @@ from rpod_schemas.logs import (
     PROFILE,
     QOS_METADATA,
     SCHEMA_ENCODING,
+    SESSION_METADATA,
 )
-from rpod_schemas.topics import ABSOLUTE_TOPICS, Namespace, Topic
+from rpod_schemas.topics import ABSOLUTE_TOPICS, OF_MANY, Namespace, Topic
 from rpod_security.log_chain import ChainWriter, Key
 
 log = logging.getLogger(__name__)
@@ -41,6 +43,9 @@ Compression = Literal["lz4", "zstd", "none"]
 _RECORD_BYTES = 31
 """Size of a message record without its payload."""
 _SEQUENCE_MASK = 0xFFFF_FFFF
+_OF_MANY = frozenset(topic.name for topic in OF_MANY)
+_MOST_CHANNELS = 2000
+"""Largest number of publishers that have channels of their own; readers take 10,000 channels."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -93,7 +98,7 @@ class LogFile:
             compression=CompressionType[settings.compression.upper()],
         )
         self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
+        self._channels: dict[tuple[str, str | bytes], int] = {}
         self._chunk_bytes = 0
         self.pending: Counter[str] = Counter()
         """Number of messages in the open chunk, which is not in the file yet, by topic."""
@@ -125,9 +130,9 @@ class LogFile:
         size = len(received.payload) + _RECORD_BYTES
         if self._chunk_bytes + size > self._settings.chunk_bytes:
             self._flush()
-        channel = self._channels.get(received.key)
+        channel = self._channels.get((received.key, received.session or received.attachment.gid))
         if channel is None:
-            channel = self._channels[received.key] = self._register(received)
+            channel = self._channel_of(received)
         stamp_ns = received.attachment.stamp_ns
         self._writer.add_message(
             channel,
@@ -191,9 +196,25 @@ class LogFile:
         self._chunk_bytes = 0
         self.pending.clear()
 
-    def _register(self, received: Received) -> int:
+    def _channel_of(self, received: Received) -> int:
+        """Return the channel of a publisher: its own, or that of all publishers of a topic that many publish.
+
+        Beyond ``_MOST_CHANNELS`` further publishers share one that names none.
+        """
+        shared = received.topic.name in _OF_MANY or not received.topic.type
+        publisher: str | bytes = "" if shared else received.session or received.attachment.gid
+        if len(self._channels) >= _MOST_CHANNELS:
+            publisher = ""
+        place = received.key, publisher
+        if place not in self._channels:
+            self._channels[place] = self._register(received, named=bool(publisher))
+        return self._channels[place]
+
+    def _register(self, received: Received, *, named: bool) -> int:
         topic = received.topic
         ros = {QOS_METADATA: qos_profile(topic), HASH_METADATA: received.key.rsplit("/", 1)[-1]}
+        if named:
+            ros |= {GID_METADATA: received.attachment.gid.hex(), SESSION_METADATA: received.session}
         opaque = {KEY_METADATA: received.key, ENCODING_METADATA: received.encoding}
         return self._writer.register_channel(
             channel_topic(self._settings.keys, topic.name),

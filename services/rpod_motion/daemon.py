@@ -82,7 +82,15 @@ def _truth(
         error = TruthError(config.truth_error, seed=config.seed, rate_hz=config.rate_hz)
     if config.motion.imu is not None:
         imu = Imu(config.motion.imu, motion, centre_of_mass_m=centre_of_mass_m, seed=config.seed)
-    return TruthPublisher(node, motion, epoch_ns=epoch_ns, rate_hz=config.rate_hz, error=error, imu=imu)
+    return TruthPublisher(
+        node,
+        motion,
+        epoch_ns=epoch_ns,
+        rate_hz=config.rate_hz,
+        error=error,
+        imu=imu,
+        bodies=config.motion.bodies,
+    )
 
 
 def _tail_s(config: MotionServiceConfig) -> float:

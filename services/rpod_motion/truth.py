@@ -1,13 +1,16 @@
-"""Publishes the truth: odometry at every tick, the sun, and transforms for viewers."""
+"""Publishes the truth: odometry at every tick, the sun, transforms for viewers, and known bodies."""
 
+from collections.abc import Mapping
 from math import radians
 from typing import NamedTuple
 
+from rpod_motion.bodies import BodyPublishers
 from rpod_motion.imu import Imu
 from rpod_motion.motion import Motion
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_schemas.cdr import encode
+from rpod_schemas.config.motion import BodyMotionConfig
 from rpod_schemas.messages import (
     NANOSECONDS,
     write_joints,
@@ -50,6 +53,7 @@ class TruthPublisher:
         rate_hz: float,
         error: TruthError | None = None,
         imu: Imu | None = None,
+        bodies: Mapping[str, BodyMotionConfig] | None = None,
     ) -> None:
         self._motion, self._error, self._imu = motion, error, imu
         self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
@@ -60,6 +64,7 @@ class TruthPublisher:
         self._joints = node.publisher(TRUTH_JOINTS) if motion.joints else None
         self._readings = node.publisher(IMU) if imu is not None else None
         self._imu_every = max(1, round(rate_hz / imu.rate_hz)) if imu is not None else 0
+        self._bodies = BodyPublishers(node, bodies or {}, rate_hz=rate_hz)
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
         self._made: dict[int, _Made] = {}
 
@@ -84,6 +89,9 @@ class TruthPublisher:
             self._publish_joints(tick)
         if self._imu is not None and self._readings is not None and tick % self._imu_every == 0:
             self._readings.publish(self._imu.message(self.stamp_ns(tick), tick / self._rate_hz))
+        if self._bodies.is_due(tick):
+            state = self._motion.state(tick / self._rate_hz)
+            self._bodies.publish(tick, self.stamp_ns(tick), state.T_chaser_target)
         if not self._made:
             self._made = {later: self._make(later) for later in range(tick + 1, tick + 1 + self._ahead)}
 

@@ -38,7 +38,7 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class PixelMarks:
-    """Pixels of a frame that are inconsistent with a pose, on a coarser grid than the frame's."""
+    """Pixels of a frame, or rays of a scan, that are inconsistent with a pose; pixels on a coarser grid."""
 
     marked: NDArray[np.bool_]
     """Which pixels, shape (rows, columns)."""

@@ -74,8 +74,8 @@ class JumpError(MessageRejectedError):
         self.jump = jump
         super().__init__(
             Reason.JUMP,
-            f"sequence number jumps from {jump}: more than {FARTHEST} numbers; does a second publisher use "
-            "the same gid?",
+            f"sequence number jumps from {jump}: more than {FARTHEST} numbers; stop a second publisher with "
+            "the same gid, or restart this one",
         )
 
 

@@ -62,7 +62,7 @@ class Delivery:
                 self.flow.add(topic.name, len(received.payload), age_s)
             sink(received)
         except JumpError as error:
-            self._health.warn(f"sequence_jump/{topic.name}", str(error.jump))
+            self._health.warn(f"sequence_jump/{topic.name}", str(error))
             self.reject(topic.name, error)
         except TooManyKeysError as error:
             self.reject(_OTHERS, error)

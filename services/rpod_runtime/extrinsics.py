@@ -50,8 +50,9 @@ class Extrinsics:
             raise ExtrinsicsError(f"distance of {frame_id!r} from {CHASER!r} {error}") from error
         if measured is not None and configured is not None and differ(measured, configured):
             raise ExtrinsicsError(
-                f"tf_static and the configured T_chaser_sensor of {sensor!r} differ: correct one of them, "
-                "or leave T_chaser_sensor out of the configuration"
+                f"tf_static and the configured T_chaser_sensor of {sensor!r} differ by "
+                f"{apart(measured, configured)}: correct one of them, or leave T_chaser_sensor out of the "
+                "configuration"
             )
         return mount
 
@@ -81,3 +82,10 @@ def differ(first: RigidTransform, second: RigidTransform) -> bool:
     """Return whether two poses differ by more than rounding."""
     step = chained(first.inv(), second)
     return bool(abs(step.translation).max() > _AGREE_M or rotation_of(step).magnitude() > _AGREE_RAD)
+
+
+def apart(first: RigidTransform, second: RigidTransform) -> str:
+    """Return how far two poses are apart: "0.100 m and 1.00 deg"."""
+    step = chained(first.inv(), second)
+    away_m, turned_deg = float(np.linalg.norm(step.translation)), np.rad2deg(rotation_of(step).magnitude())
+    return f"{away_m:.3f} m and {turned_deg:.2f} deg"

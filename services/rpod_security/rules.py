@@ -15,6 +15,7 @@ from typing import Any, Literal
 import zenoh
 
 from rpod_schemas.topics import (
+    BODY,
     CLOCK,
     DIAGNOSTICS,
     FAULTS,
@@ -34,7 +35,9 @@ from rpod_security.roles import ANY, LINK, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
-_SHARED = frozenset({TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK})
+_SHARED = frozenset(
+    {TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK, BODY.at("*")}
+)
 """Topics for which the ICD names several senders."""
 _WATCH = ("declare_liveliness_subscriber", "liveliness_query")
 

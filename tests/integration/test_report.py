@@ -222,3 +222,27 @@ def test_parts_of_a_run_are_one_and_other_names_and_folders_are_other_runs():
     assert tell_apart([paths[0], paths[3]]) == ["x", "y.recovered"]
     assert tell_apart([paths[0], paths[2]]) == ["a", "b"]
     assert tell_apart([paths[0], paths[0]]) == ["a-1", "a-2"]
+
+
+def test_the_rays_of_a_refused_scan_are_marked(tmp_path):
+    marked = np.zeros((40, 40), np.bool_)
+    marked[18:22, 20] = True
+    refused = Frame(mode=Mode.LOST, reason="does not explain the scan", marked=marked)
+    run = SyntheticRun(
+        kind="lidar",
+        name="lidar",
+        rate_hz=2.0,
+        target="mockup",
+        render=see_points(load_target("mockup")),
+        frame=lambda number, _: refused if number == 2 else Frame(),
+    )
+    page = write_report([run.write(tmp_path / "run.mcap")]).html.read_text("utf-8")
+    section = page[page.index('id="refused"') :]
+    assert "lidar: does not explain the scan" in section
+    (squares,) = re.findall(r'class="marks" d="([^"]+)"', section)
+    found = np.array(
+        [list(map(float, each)) for each in re.findall(r"M([-\d.]+) ([-\d.]+)h([\d.]+)", squares)]
+    )
+    angles = np.radians(np.linspace(-10.0, 10.0, 40))
+    expected = [(np.tan(angles[20]), np.tan(angles[row]) / np.cos(angles[20])) for row in range(18, 22)]
+    np.testing.assert_allclose(found[:, :2] + found[:, 2:] / 2.0, 1e3 * np.array(expected), atol=0.1)

@@ -49,3 +49,18 @@ def test_a_citation_of_nothing_is_found():
     )
     assert links == ["docs/none.md"]
     assert code == ["findings/bus.md"]
+
+
+TRIED = (ROOT / "docs/how-to/find-out-why-nothing-is-used.md").read_text("utf-8").split("| tried |")[1]
+ROWS = [line for line in TRIED.splitlines()[2:] if line.startswith("| ")]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("|")[1].strip()[:40])
+def test_each_input_that_was_tried_has_a_test_that_is_there(row):
+    named = re.fullmatch(r"`([\w/]+\.py)::(test_\w+)`", row.split("|")[-2].strip())
+    assert named, "the last column names the test"
+    assert re.search(rf"^def {named[2]}\(", (ROOT / "tests" / named[1]).read_text("utf-8"), re.MULTILINE)
+
+
+def test_all_inputs_that_were_tried_are_read():
+    assert len(ROWS) >= 19

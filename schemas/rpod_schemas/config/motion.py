@@ -12,8 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray, Vector3
-from rpod_schemas.config.base import Config, NonNegative, Positive
-from rpod_schemas.poses import Attitude
+from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.poses import Attitude, Pose, make_pose
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -215,6 +215,21 @@ class JointMotionConfig(Config):
         return radians(self.angle_deg + self.rate_deg_s * time_s)
 
 
+class BodyMotionConfig(Config):
+    """A frame of a known body, such as a link of an arm: motion publishes its pose in the robot's place."""
+
+    fixed_to: Literal["chaser", "target"] = "target"
+    """Body with which the frame moves: the target, as the arm that holds it, or the chaser, whose laboratory
+    stands still."""
+    pose: Pose = Field(default_factory=make_pose)
+    """Pose of the frame in the axes of that body."""
+    error: Pose = Field(default_factory=make_pose)
+    """Pose of the frame as it is published, in the frame as it is: what the robot's encoders or its
+    calibration are off by."""
+    rate_hz: Positive = 50.0
+    """Rate of the messages, Hz; a divisor of the truth's rate."""
+
+
 class MotionConfig(Config):
     """Motion of chaser and target, and the sun."""
 
@@ -230,3 +245,5 @@ class MotionConfig(Config):
     """Rotation of the chaser beside its trajectory; none if left out."""
     imu: ImuNoiseConfig | None = None
     """The chaser's IMU; it has none if left out."""
+    bodies: dict[Name, BodyMotionConfig] = Field(default_factory=dict)
+    """Frames of known bodies whose poses are published as ``bodies/<frame>/odometry``, by name."""

@@ -4,7 +4,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from rpod_analysis.log.log import Logged
-from rpod_schemas.summary import FrameCount, InputAccount, LostFrames
+from rpod_schemas.summary import BodyAccount, FrameCount, InputAccount, LostFrames
 from rpod_schemas.texts import without_figures
 from rpod_schemas.topics import SENSOR_CACHE
 from rpod_schemas.types import PUBLISHED, Diagnostic, Health
@@ -16,6 +16,8 @@ _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
 _COMMANDS = "commands/"
 _INPUTS, _LOSS = "inputs/", "input/"
 """Counters of the frames of each sensor that an estimator used or not, and texts that tell why not."""
+_BODIES, _BODY = "bodies/", "body/"
+"""Counters of what each sensor's frames show of each known body, and texts that tell where it is not."""
 _MOST_LOSSES = 500
 _MOST_COMMANDS = 12
 _MOST_ALARMS = 100
@@ -70,7 +72,8 @@ class Account:
     """Commands that services accepted, the first ones only."""
     command_count: int = 0
     losses: dict[tuple[str, str, str], str] = field(default_factory=dict)
-    """Last text about frames that a service did not use, by service, sensor and kind; the first ones only."""
+    """Last text about frames that a service did not use, by service, sensor and kind, and about known bodies,
+    by service, ``body``, and body and sensor; the first ones only."""
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def take(self, logged: Logged) -> None:
@@ -96,11 +99,13 @@ class Account:
                     self._take_command(diagnostic, name.removeprefix(_COMMANDS))
                 now[name] = value + ended[name]
             elif name.startswith(_LOSS):
+                self._take_loss(diagnostic.name, name.removeprefix(_LOSS), text)
+            elif name.startswith(_BODY):
                 self._take_loss(diagnostic.name, name, text)
 
     def _take_loss(self, service: str, name: str, text: str) -> None:
-        sensor, _, kind = name.removeprefix(_LOSS).partition("/")
-        loss = service, sensor, kind
+        first, _, rest = name.partition("/")
+        loss = service, first, rest
         if loss in self.losses or len(self.losses) < _MOST_LOSSES:
             self.losses[loss] = text
 
@@ -151,6 +156,22 @@ class Account:
                     account.not_used[kind[0]] = LostFrames(frames=count, last=text)
                 elif outcome == "used":
                     found[sensor] = account.model_copy(update={"used": count})
+        return found
+
+    def bodies(self, status_topic: str) -> dict[str, dict[str, BodyAccount]]:
+        """Return what the frames of each sensor show of known bodies, by the estimator of this status."""
+        found: dict[str, dict[str, BodyAccount]] = {}
+        for service, counters in self.counters.items():
+            if PUBLISHED + status_topic not in counters:
+                continue
+            for name, frames in counters.items():
+                body, _, rest = name.removeprefix(_BODIES).partition("/")
+                sensor, _, verdict = rest.partition("/")
+                if not name.startswith(_BODIES) or verdict not in BodyAccount.model_fields:
+                    continue
+                last = self.losses.get((service, _BODY[:-1], f"{body}/{sensor}"), "")
+                before = found.setdefault(body, {}).get(sensor, BodyAccount(last=last))
+                found[body][sensor] = before.model_copy(update={verdict: frames})
         return found
 
     def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:

@@ -16,17 +16,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from mcap.records import Statistics
+from mcap.records import Channel, Statistics
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
 from rpod_analysis.log.unreadable import Unreadable
 from rpod_schemas.cdr import decode
 from rpod_schemas.errors import Reason
-from rpod_schemas.logs import CONFIGURATION, COUNTS, TopicCount
+from rpod_schemas.logs import CONFIGURATION, COUNTS, GID_METADATA, SESSION_METADATA, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, Topic, is_latched
 from rpod_schemas.types import EstimatorStatus, Odometry
+from rpod_schemas.wire import GID_BYTES
 
 _MOST_LATCHED = 64
 """Largest number of latched messages of a topic, one per publisher, that a file may repeat at its
@@ -46,6 +47,14 @@ def _is_read(field: str, value: Any) -> bool:
     return value is None or isinstance(value, _FIELDS.get(field, object))
 
 
+def _publisher(channel: Channel) -> tuple[str, str]:
+    """Return gid and session of a channel's publisher; empty texts if it does not name one."""
+    gid = channel.metadata.get(GID_METADATA, "")
+    if len(gid) != 2 * GID_BYTES or not set(gid) <= set("0123456789abcdef"):
+        return "", ""
+    return gid, channel.metadata.get(SESSION_METADATA, "")
+
+
 @dataclass(frozen=True, slots=True)
 class Logged:
     """One message of a log."""
@@ -60,6 +69,10 @@ class Logged:
     sequence: int
     """Sequence number in the attachment."""
     payload: bytes
+    gid: str = ""
+    """Identifier of the publisher, hexadecimal digits; empty if the log does not tell."""
+    session: str = ""
+    """Zenoh identity of the publisher's session; empty if it is not known."""
 
     def decode(self) -> Any:
         """Return the ROS message, whose arrays are views of the payload. Raises ``MessageRejectedError``."""
@@ -134,12 +147,24 @@ class Log:
         for part in self._parts:
             messages = part.statistics.channel_message_counts
             for channel in part.summary.channels.values():
-                name = self._name(channel.topic)
+                name = self.name_of(channel.topic)
                 before = counts[name].count if name in counts else 0
                 counts[name] = TopicInfo(
                     part.type_of(channel.schema_id), before + messages.get(channel.id, 0)
                 )
         return dict(sorted(counts.items()))
+
+    @cached_property
+    def publishers(self) -> Counter[tuple[str, str, str]]:
+        """Numbers of messages by topic, gid and session of the publisher; without those of unnamed ones."""
+        counts: Counter[tuple[str, str, str]] = Counter()
+        for part in self._parts:
+            for channel in part.summary.channels.values():
+                gid, session = _publisher(channel)
+                if gid:
+                    messages = part.statistics.channel_message_counts.get(channel.id, 0)
+                    counts[self.name_of(channel.topic), gid, session] += messages
+        return counts
 
     @cached_property
     def start_ns(self) -> int:
@@ -192,7 +217,7 @@ class Log:
                 except ValueError:
                     self.unreadable.note(COUNTS, Reason.MALFORMED, f"{topic}: is no count")
                     continue
-                totals[self._name(topic)].update(count.model_dump())
+                totals[self.name_of(topic)].update(count.model_dump())
         return {topic: TopicCount(**counter) for topic, counter in totals.items()}
 
     @cached_property
@@ -236,22 +261,30 @@ class Log:
         self, part: LogFile, names: set[str], start_ns: int | None, end_ns: int | None
     ) -> Iterator[Logged]:
         channels = {
-            channel.topic: (self._name(channel.topic), part.type_of(channel.schema_id))
+            channel.id: (self.name_of(channel.topic), part.type_of(channel.schema_id), *_publisher(channel))
             for channel in part.summary.channels.values()
-            if not names or self._name(channel.topic) in names
+            if not names or self.name_of(channel.topic) in names
         }
         if not channels:
             return
-        found = part.reader.iter_messages(list(channels), starting_at=start_ns, ending_before=end_ns)
+        topics = {part.summary.channels[channel].topic for channel in channels}
+        found = part.reader.iter_messages(sorted(topics), starting_at=start_ns, ending_before=end_ns)
         while True:
             with reading(part.path):
                 item = next(found, None)
             if item is None:
                 return
             _, channel, message = item
-            name, type_name = channels[channel.topic]
+            name, type_name, gid, session = channels[channel.id]
             yield Logged(
-                name, type_name, message.log_time, message.publish_time, message.sequence, message.data
+                name,
+                type_name,
+                message.log_time,
+                message.publish_time,
+                message.sequence,
+                message.data,
+                gid,
+                session,
             )
 
     def odometry(
@@ -270,7 +303,7 @@ class Log:
             with self.unreadable.left_out(logged):
                 yield read_status(logged.decode())
 
-    def _name(self, channel_topic: str) -> str:
+    def name_of(self, channel_topic: str) -> str:
         """Return a topic's name as in the ICD, without leading slash and namespace."""
         return channel_topic.removeprefix("/").removeprefix(self._namespace)
 

@@ -13,14 +13,14 @@ from rpod_analysis.log.log import Log, Logged
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.frames import ICD, SensorReader, assembler_of, open_reader
-from rpod_schemas.cdr import peek_stamp
+from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import read_pmd_info
+from rpod_schemas.messages import read_lidar_info, read_pmd_info
 from rpod_schemas.poses import Pose
 from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
-from rpod_schemas.topics import CHASER, PMD_INFO, Topic
-from rpod_schemas.types import LidarScan, PmdFrame, PmdInfo, SensorFrame
+from rpod_schemas.topics import CHASER, LIDAR_INFO, PMD_INFO, Topic
+from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
 from rpod_schemas.wire import GID_BYTES, Attachment
 
 
@@ -142,11 +142,25 @@ def pmd_info(log: Log, sensor: str) -> PmdInfo | None:
     return info
 
 
+def lidar_info(log: Log, sensor: str) -> LidarInfo | None:
+    """Return the last info with a scan pattern that a LIDAR published; None if there is none."""
+    info: LidarInfo | None = None
+    for logged in log.messages(LIDAR_INFO.of(sensor)):
+        with log.unreadable.left_out(logged):
+            said = read_lidar_info(logged.decode())
+            info = said if said.azimuth_rad.size and said.elevation_rad.size else info
+    return info
+
+
 def as_received(logged: Logged) -> Received:
     """Return a logged message in the form in which a service receives it."""
-    attachment = Attachment(logged.sequence, logged.publish_ns, bytes(GID_BYTES))
+    gid = bytes.fromhex(logged.gid) or bytes(GID_BYTES)
+    attachment = Attachment(logged.sequence, logged.publish_ns, gid)
     topic = Topic(logged.topic, logged.type)
-    return Received(topic, logged.topic, memoryview(logged.payload), attachment, logged.log_ns, 0.0)
+    payload, arrival_s = memoryview(logged.payload), logged.log_ns / NANOSECONDS
+    return Received(
+        topic, logged.topic, payload, attachment, logged.log_ns, arrival_s, session=logged.session
+    )
 
 
 def sensor_frames(

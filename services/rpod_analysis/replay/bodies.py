@@ -1,8 +1,10 @@
 """Poses of known bodies in a log, as far as an estimator has come."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 from rpod_analysis.log import Log
+from rpod_analysis.replay.holders import of_holders
 from rpod_estimator.body_input import checked
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_schemas.errors import MessageRejectedError
@@ -21,7 +23,10 @@ class LoggedBodies:
 
     def __init__(self, log: Log, bodies: KnownBodies | None) -> None:
         self._bodies = bodies
-        self._readings = iter(()) if bodies is None or not bodies.tracks else _readings(log, bodies)
+        self.unused: Counter[str] = Counter()
+        """Number of messages of publishers that did not hold their topic, by topic."""
+        known = bodies is not None and bodies.tracks
+        self._readings = _readings(log, bodies, self.unused) if bodies is not None and known else iter(())
         self._next = next(self._readings, None)
 
     def hear_up_to(self, stamp_ns: int) -> None:
@@ -32,10 +37,12 @@ class LoggedBodies:
             self._next = next(self._readings, None)
 
 
-def _readings(log: Log, bodies: KnownBodies) -> Iterator[tuple[str, Odometry]]:
+def _readings(log: Log, bodies: KnownBodies, unused: Counter[str]) -> Iterator[tuple[str, Odometry]]:
     frames = {BODY.at(frame).name: frame for frame in bodies.tracks}
-    for logged in log.messages(*frames):
+    for logged, hold in of_holders(log, *frames, unused=unused):
         try:
-            yield frames[logged.topic], checked(read_odometry(logged.decode()))
+            reading = checked(read_odometry(logged.decode()))
         except MessageRejectedError:  # the live estimator did not use it either
             continue
+        hold()
+        yield frames[logged.topic], reading

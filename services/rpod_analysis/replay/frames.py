@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from rpod_analysis.log import Logged
 from rpod_analysis.log.sensors import as_received
 from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.replay.holders import LoggedHolders
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
 from rpod_runtime import Received
@@ -41,6 +42,8 @@ class Frames:
     intake: FrameReader
     stamps: StampCheck | None = None
     """Check that finds stamps that cannot belong to the log; None for no check."""
+    holders: LoggedHolders | None = None
+    """Which publisher of a topic is used where there are several; None for all."""
     refused: Counter[str] = field(default_factory=Counter)
     """Number of messages that could not be used, by topic."""
     missing: int = 0
@@ -51,7 +54,35 @@ class Frames:
 
     def take(self, logged: Logged) -> list[Event]:
         """Process a message; return the frames that it completes, oldest first."""
-        return [self._arrived(sensor, frame) for sensor, frame in self._complete(logged)]
+        events: list[Event] = []
+        for sensor, frame in self._complete(logged):
+            events += self._held(sensor, frame)
+        self._let_leave(logged)
+        return events
+
+    def _held(self, sensor: str, frame: Assembled[Received]) -> list[Event]:
+        """Return a frame as an input of the estimator; nothing if another publisher holds its topics."""
+        if self.holders is not None and not self.holders.allows(frame):
+            return []
+        return [self._held_by_its_publishers(sensor, frame)]
+
+    def _held_by_its_publishers(self, sensor: str, frame: Assembled[Received]) -> Arrived:
+        """Return a frame, whose publishers hold their topics from now on if it is valid."""
+        arrived = self._arrived(sensor, frame)
+        if self.holders is not None and arrived.measurement is not None:
+            self.holders.hold(frame, self.intake.leading[sensor])
+        return arrived
+
+    def _let_leave(self, logged: Logged) -> None:
+        """Let publishers leave whose last message this was."""
+        session = self.holders.ended(as_received(logged)) if self.holders else ""
+        for topic in self.intake.latched if session else ():
+            self.intake.leave(session, topic)
+
+    def reset(self, keep_gid: str | None) -> None:
+        """Accept publishers and sensors as they are now, as a live estimator does at a reset."""
+        keep = self.holders.release(keep_gid) if self.holders else ""
+        self.intake.forget(keep=keep)
 
     def rest(self) -> list[Event]:
         """Return the frames that still wait for an optional part at the end of the log."""
@@ -69,6 +100,8 @@ class Frames:
                 stamp_ns = self.intake.stamp_ns(sensor, received)
                 if self.stamps is not None:
                     self.stamps.check(logged, stamp_ns)
+                if self.holders is not None and not self.holders.admit(received):
+                    return
                 for frame in self.intake.assemblers[sensor].add(name, stamp_ns, received):
                     yield sensor, frame
             elif logged.topic in self._latched:
@@ -99,6 +132,7 @@ class FramesAsLive(Frames):
                 self._due.append((logged.log_ns, read_status(logged.decode())))
         for sensor, frame in self._complete(logged):
             self._waiting[sensor, frame.stamp_ns] = frame
+        self._let_leave(logged)
         return list(self._events(logged.log_ns - _PATIENCE_NS))
 
     def rest(self) -> list[Event]:
@@ -130,4 +164,4 @@ class FramesAsLive(Frames):
             return Arrived(status.sensor, status.stamp_ns, 0.0, None, status.reason)
         if frame is None:
             return None
-        return replace(self._arrived(status.sensor, frame), evidence=status.evidence)
+        return replace(self._held_by_its_publishers(status.sensor, frame), evidence=status.evidence)

@@ -1,8 +1,10 @@
 """Readings of the chaser's IMU in a log, as far as an estimator has come."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 from rpod_analysis.log import Log
+from rpod_analysis.replay.holders import of_holders
 from rpod_estimator.imu_input import checked
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_schemas.config.dynamics import DynamicsConfig
@@ -23,7 +25,9 @@ class LoggedImu:
 
     def __init__(self, log: Log, config: DynamicsConfig, track: ImuTrack | None) -> None:
         self._track = track
-        self._readings = iter(()) if track is None else _readings(log, config)
+        self.unused: Counter[str] = Counter()
+        """Number of messages of publishers that did not hold the topic, by topic."""
+        self._readings = iter(()) if track is None else _readings(log, config, self.unused)
         self._next = next(self._readings, None)
 
     def hear_up_to(self, stamp_ns: int) -> None:
@@ -33,9 +37,11 @@ class LoggedImu:
             self._next = next(self._readings, None)
 
 
-def _readings(log: Log, config: DynamicsConfig) -> Iterator[ImuReading]:
-    for logged in log.messages(IMU.name):
+def _readings(log: Log, config: DynamicsConfig, unused: Counter[str]) -> Iterator[ImuReading]:
+    for logged, hold in of_holders(log, IMU.name, unused=unused):
         try:
-            yield checked(read_imu(logged.decode()), config)
+            reading = checked(read_imu(logged.decode()), config)
         except MessageRejectedError:  # the live estimator did not use it either
             continue
+        hold()
+        yield reading

@@ -5,7 +5,8 @@ steps, as in the daemon, so that silence is detected at the same stamp.
 """
 
 import time
-from collections.abc import Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -17,8 +18,10 @@ from rpod_analysis.log.unreadable import StampCheck
 from rpod_analysis.replay.bodies import LoggedBodies
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
+from rpod_analysis.replay.holders import LoggedHolders
 from rpod_analysis.replay.imu import LoggedImu
 from rpod_analysis.replay.recorded_searches import RecordedSearches
+from rpod_analysis.replay.resets import LoggedReset, LoggedResets
 from rpod_analysis.replay.timeline import Timeline
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_estimator.estimator import Estimator
@@ -57,6 +60,14 @@ class Replayed:
     """Number of frames that the live run used and that are not in the log."""
     refused: dict[str, int]
     """Number of messages that could not be used, by topic."""
+    second_publisher: dict[str, int]
+    """Number of messages that were not used because another publisher held the topic, by topic."""
+    undivided: dict[str, int]
+    """Number of publishers of each topic whose messages the log does not tell apart, so that all are used."""
+    resets: int
+    """Number of logged resets that were repeated."""
+    unknown_resets: int
+    """Number of logged resets whose request is not in the log, so that they were not repeated."""
     processing_s: tuple[float, ...]
     """Processing time of each frame on this machine, s."""
 
@@ -112,17 +123,21 @@ def replay(
     estimator = Estimator(config, target, recorded.of if recorded else None)
     intake = FrameReader(config.sensors)
     old = estimate_prefix(log)
-    stamps = StampCheck(log)
+    status_topic = STATUS.under(old).name
+    stamps, holders = StampCheck(log), LoggedHolders(log, intake.parts)
     frames = (
-        FramesAsLive(intake, stamps, status_topic=STATUS.under(old).name)
+        FramesAsLive(intake, stamps, holders, status_topic=status_topic)
         if as_live
-        else Frames(intake, stamps)
+        else Frames(intake, stamps, holders)
     )
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
-    feed = _Feed(estimator, intake, inputs, recorded)
+    span_ns = _span_ns(log, start_s=start_s, end_s=end_s)
+    told = LoggedResets.of(log, status_topic)
+    resets = [reset for reset in told.resets if span_ns[0] is None or reset.told_ns >= span_ns[0]]
+    feed = _Feed(estimator, frames, inputs, recorded, resets=resets)
     try:
         with EstimateLog(new, log, config, target) as written:
-            for logged in _relevant(log, intake, old, start_s=start_s, end_s=end_s):
+            for logged in _relevant(log, intake, old, span_ns):
                 if logged.topic in _copied(log, old):
                     written.copy(logged)
                 written.add(feed.judged(frames.take(logged)), arrival_ns=logged.log_ns)
@@ -135,6 +150,10 @@ def replay(
         frames=len(feed.processing_s),
         missing=frames.missing,
         refused=dict(frames.refused),
+        second_publisher=dict(sum((each.unused for each in (holders, *inputs)), Counter())),
+        undivided=holders.undivided,
+        resets=feed.resets,
+        unknown_resets=told.unknown,
         processing_s=tuple(feed.processing_s),
     )
 
@@ -149,8 +168,8 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
     intake = FrameReader(config.sensors)
     estimator = Estimator(config, load_target(config.target))
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
-    feed = _Feed(estimator, intake, inputs)
-    frames = Frames(intake, StampCheck(log))
+    frames = Frames(intake, StampCheck(log), LoggedHolders(log, intake.parts))
+    feed = _Feed(estimator, frames, inputs)
     for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
         for output, _ in feed.outputs(frames.take(logged)):
             yield output
@@ -172,12 +191,17 @@ def _copied(log: Log, prefix: str) -> set[str]:
     }
 
 
-def _relevant(
-    log: Log, intake: FrameReader, prefix: str, *, start_s: float, end_s: float | None
-) -> Iterator[Logged]:
+def _span_ns(log: Log, *, start_s: float, end_s: float | None) -> tuple[int | None, int | None]:
+    """Return the times of arrival between which a log is replayed; None for its beginning or end."""
     timeline = Timeline(log)
     start_ns = timeline.arrival_of(timeline.at(start_s)) if start_s else None
-    end_ns = None if end_s is None else timeline.arrival_of(timeline.at(end_s))
+    return start_ns, None if end_s is None else timeline.arrival_of(timeline.at(end_s))
+
+
+def _relevant(
+    log: Log, intake: FrameReader, prefix: str, span_ns: tuple[int | None, int | None]
+) -> Iterator[Logged]:
+    start_ns, end_ns = span_ns
     latched = [topic.name for topic in intake.latched]
     streams = [topic.name for topic in intake.streams]
     before = log.messages(*latched, end_ns=start_ns) if start_ns is not None else ()
@@ -190,21 +214,27 @@ class _Feed:
 
     Args:
         estimator: the estimator.
-        intake: reads the frames.
+        frames: the frames of the log.
         inputs: the log's readings of the chaser's motion, and of the known bodies.
         recorded: the searches of a live run, if its frames are repeated.
+        resets: the resets to repeat.
     """
 
     def __init__(
         self,
         estimator: Estimator,
-        intake: FrameReader,
+        frames: Frames,
         inputs: tuple[LoggedImu, LoggedBodies],
         recorded: RecordedSearches | None = None,
+        *,
+        resets: Sequence[LoggedReset] = (),
     ) -> None:
         self.processing_s: list[float] = []
-        self._inputs = inputs
-        self._estimator, self._intake, self._recorded = estimator, intake, recorded
+        self.resets = 0
+        """Number of resets that were repeated."""
+        self._inputs, self._waiting = inputs, deque(resets)
+        self._frames, self._intake = frames, frames.intake
+        self._estimator, self._recorded = estimator, recorded
 
     def judged(self, events: Iterable[Event]) -> Iterator[tuple[Output, Integrity]]:
         """Yield the estimator's outputs, each with its integrity, as the daemon publishes them."""
@@ -217,6 +247,7 @@ class _Feed:
             self._estimator.learn(self._intake.infos)
             for heard in self._inputs:
                 heard.hear_up_to(event.stamp_ns)
+            self._reset_before(event.stamp_ns)
             if isinstance(event, Tick):
                 if (output := self._estimator.tick(event.stamp_ns)) is not None:
                     yield output, False
@@ -231,3 +262,11 @@ class _Feed:
             self.processing_s.append(time.perf_counter() - started_s)
             self._intake.pinned = self._estimator.pins_setups
             yield output, event.refused == Reason.FROZEN
+
+    def _reset_before(self, stamp_ns: int) -> None:
+        """Repeat the resets that took effect at a frame or before it."""
+        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+            request = self._waiting.popleft().request
+            self._frames.reset(request.keep_gid)
+            self._estimator.request_reset(request)
+            self.resets += 1

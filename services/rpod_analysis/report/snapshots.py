@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log import Log
-from rpod_analysis.log.sensors import Sensor, sensor_frames
+from rpod_analysis.log.sensors import Sensor, lidar_info, sensor_frames
 from rpod_analysis.report.plot_data import PlotData
 from rpod_analysis.report.wireframe import svg_path
 from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import Track, interpolate
+from rpod_geometry.rays import RayGrid
 from rpod_geometry.wireframe import project, visible_pieces
+from rpod_runtime.scan_grid import ahead
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.messages import read_image, read_stamp
 from rpod_schemas.topics import CONTRADICTION
-from rpod_schemas.types import Camera, Float32Array, FrameImage, SensorFrame
+from rpod_schemas.types import Camera, Float32Array, FrameImage, LidarInfo, LidarScan, SensorFrame
 from rpod_target import Target
 
 _SAMPLES = 4
@@ -32,6 +33,8 @@ _ASPECT = 4.0 / 3.0
 _MARGIN = 1.25
 _MOST_POINTS = 4000
 _SHADES = 10
+_LEAST_SIDE, _MOST_SIDE = 2.0, 20.0
+"""Least and greatest side of a square at a marked ray, in thousandths."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Snapshot:
     """SVG path of the wireframe at the estimate; empty if there is none."""
     truth_path: str
     marks_path: str = ""
-    """SVG path of the pixels that contradict the pose; empty if there are none."""
+    """SVG path of the pixels or rays that contradict the pose; empty if there are none."""
 
 
 class Wireframes(NamedTuple):
@@ -90,36 +93,51 @@ def take_snapshots(log: Log, run: StreamedRun, plot_data: PlotData, wireframes: 
 
 
 def take_refused(log: Log, run: StreamedRun, wireframes: Wireframes) -> list[Snapshot]:
-    """Return about four frames that were refused for their pixels, spread over the run, with these pixels."""
+    """Return about four frames that were refused for pixels or rays, spread over the run, with these."""
     topic = CONTRADICTION.under(run.prefix).name
-    stamps_ns = {}
-    for logged in log.messages(topic):
-        with log.unreadable.left_out(logged):
-            stamps_ns[peek_stamp(logged.payload)] = logged.log_ns
-    chosen = list(stamps_ns)
-    places = np.linspace(0, len(chosen) - 1, min(_SAMPLES, len(chosen))).astype(np.int64)
-    marks = {}
-    for place in places:
-        log_ns = stamps_ns[chosen[place]]
+    arrivals_ns = [logged.log_ns for logged in log.messages(topic)]
+    places = np.linspace(0, len(arrivals_ns) - 1, min(_SAMPLES, len(arrivals_ns))).astype(np.int64)
+    shown = []
+    for log_ns in dict.fromkeys(arrivals_ns[place] for place in places):
         for logged in log.messages(topic, start_ns=log_ns, end_ns=log_ns + 1):
             with log.unreadable.left_out(logged):
                 message = logged.decode()
-                marks[read_stamp(message.header)] = read_image(message)
+                stamp_ns, frame_id = read_stamp(message.header), str(message.header.frame_id)
+                marks = _Marks(stamp_ns, frame_id, read_image(message))
+                shown += [_refused(log, run, wireframes, marks)]
+    return [snapshot for snapshots in shown for snapshot in snapshots]
+
+
+class _Marks(NamedTuple):
+    """Marked pixels or rays of the frame with a stamp and a frame of reference."""
+
+    stamp_ns: int
+    frame_id: str
+    marked: Array
+
+
+def _refused(log: Log, run: StreamedRun, wireframes: Wireframes, marks: _Marks) -> list[Snapshot]:
+    """Return the frame that was refused for the marked pixels or rays."""
+    part = run.at(marks.stamp_ns)
     return [
         replace(
-            snapshot, note=_refusal(run.at(stamp_ns), stamp_ns), marks_path=_marks_path(marked, frame.lens)
+            snapshot,
+            note=_refusal(part, marks.stamp_ns, sensor.name),
+            marks_path=_marks_path(marks.marked, frame.lens)
+            if frame.lens is not None
+            else _ray_marks_path(marks.marked, frame, lidar_info(log, sensor.name)),
         )
-        for stamp_ns, marked in marks.items()
         for sensor in run.sensors.values()
-        if stamp_ns in run.at(stamp_ns).frames[sensor.name].stamp_ns
-        for frame in _read_frame(log, run.at(stamp_ns), sensor, stamp_ns)
-        if frame.lens is not None and (snapshot := _snapshot(run.at(stamp_ns), sensor, frame, wireframes))
+        if marks.stamp_ns in part.frames[sensor.name].stamp_ns
+        for frame in _read_frame(log, part, sensor, marks.stamp_ns)
+        if frame.frame_id == marks.frame_id and (snapshot := _snapshot(part, sensor, frame, wireframes))
     ]
 
 
-def _refusal(run: Run, stamp_ns: int) -> str:
-    """Return the reason in the status of a frame."""
-    reasons = run.statuses.reason[run.statuses.stamp_ns == stamp_ns]
+def _refusal(run: Run, stamp_ns: int, sensor: str) -> str:
+    """Return the reason in the status of a sensor's frame."""
+    mine = (run.statuses.stamp_ns == stamp_ns) & (run.statuses.sensor == sensor)
+    reasons = run.statuses.reason[mine]
     return str(reasons[0]) if reasons.size else "refused"
 
 
@@ -129,6 +147,40 @@ def _marks_path(marked: Array, camera: Camera) -> str:
     side = camera.width / marked.shape[1]
     squares = zip(side * columns - 0.5, side * rows - 0.5, strict=True)
     return "".join(f"M{x:.1f} {y:.1f}h{side:.1f}v{side:.1f}h-{side:.1f}z" for x, y in squares)
+
+
+def _ray_marks_path(marked: Array, frame: SensorFrame, info: LidarInfo | None) -> str:
+    """Return an SVG path of squares at the marked rays of a scan, in thousandths.
+
+    The rays are those of the pattern that the sensor states; without one, only returns of an organised scan
+    can be marked.
+
+    Args:
+        marked: rays, shape (rows, columns); rows are elevations.
+        frame: the scan.
+        info: what the sensor says of itself.
+    """
+    rays_m = _points_of(marked.shape, frame, info)
+    if rays_m is None:
+        return ""
+    rays_m = rays_m[marked.astype(np.bool_)]
+    rays_m = rays_m[np.isfinite(rays_m).all(axis=1) & (rays_m[:, 2] > 0.0)]
+    if not len(rays_m):
+        return ""
+    centres = project(rays_m, None)
+    steps = np.abs(np.diff(np.unique(centres[:, 0].round(2))))
+    side = float(np.clip(np.median(steps), _LEAST_SIDE, _MOST_SIDE)) if steps.size else _LEAST_SIDE
+    squares = centres - side / 2.0
+    return "".join(f"M{x:.1f} {y:.1f}h{side:.1f}v{side:.1f}h-{side:.1f}z" for x, y in squares)
+
+
+def _points_of(shape: tuple[int, ...], frame: SensorFrame, info: LidarInfo | None) -> Array | None:
+    """Return a point on each ray of a scan, shape (rows, columns, 3), NaN or None where it is not known."""
+    pattern = None if info is None else ahead(info)
+    if pattern is not None and (pattern.elevation_rad.size, pattern.azimuth_rad.size) == shape:
+        return RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad).directions
+    points_m = frame.points_m if isinstance(frame, LidarScan) else np.zeros((0, 3), np.float32)
+    return points_m if points_m.shape[:2] == shape else None
 
 
 def _sample_stamps(plot_data: PlotData, sensor: Sensor) -> list[int]:

@@ -41,6 +41,7 @@ def summarise(
             lost_s=totals.lost_ns * 1e-9,
         ),
         inputs=run.account.inputs(run.status_topic),
+        bodies=run.account.bodies(run.status_topic),
         modes=totals.modes(),
         error=totals.error(),
         truth_error=totals.truth_error(),

@@ -150,5 +150,6 @@ LIDAR_METHODS = KindMethods(
     separation=scan_frames,
     tracker=make_tracker,
     points=lambda scan: scan.returns_m,
-    missing="no scan pattern: neither lidar info nor the configuration gives it",
+    missing="no scan pattern: neither lidar info, the points nor the configuration give it; let the driver "
+    "publish its info, or set azimuth_rad and elevation_rad of the sensor",
 )

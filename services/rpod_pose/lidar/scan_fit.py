@@ -11,18 +11,20 @@ comparison: the deficit of a right pose is small and random, that of a wrong one
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from math import hypot, sqrt
+from dataclasses import dataclass, replace
+from math import degrees, hypot, sqrt
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from rpod_pose.belief import Belief, contradicted
+from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.posterior.sampled_posterior import Proposal, SampledPosterior, draws, sampled_posterior
 from rpod_pose.lidar.scan_likelihood import (
+    PEAK,
+    STEEPEST,
     Assumptions,
     Rays,
     ScanAgreement,
@@ -126,7 +128,31 @@ class ScanModel:
             f"does not explain the scan: of {seen.returns} returns {rays.inconsistent} contradict the pose, "
             f"{rays.missing:.0f} more are missing"
         )
-        return contradicted(reason, **evidence)
+        return self._marked(contradicted(reason, **evidence), seen, R, missing=rays.missing >= 1.0)
+
+    def _marked(self, belief: Belief, seen: SeenScan, R: FloatArray, *, missing: bool) -> Belief:
+        """Return a belief with the rays that are inconsistent with the pose that was cast last.
+
+        These are the returns that clutter explains better than the target does and, if more returns are
+        missing than the echoes explain, the rays that meet the target and gave none.
+        """
+        met, measured = self._rays.face >= 0, seen.range_m > 0.0
+        normals = self._rays.faces.normals[self._rays.face] @ R.T
+        cosine = -(normals * self._view.grid.directions).sum(axis=-1)
+        slack_m = self.assumed.slack_m / np.maximum(cosine, STEEPEST)
+        variance = self.assumed.sigma_m**2 + slack_m**2
+        tail = 1.0 + 0.25 * (seen.range_m - np.where(met, self._rays.range_m, 0.0)) ** 2 / variance
+        agrees = PEAK / (np.sqrt(variance * tail) * tail * tail) > self.assumed.clutter_density
+        marked = measured & ~(met & agrees)
+        if missing:
+            marked |= met & (seen.range_m == 0.0)
+        if not marked.any():
+            return belief
+        marks = PixelMarks(marked, 1)
+        column, row = marks.centre_px
+        azimuth, elevation = self._view.azimuth_rad[column], self._view.elevation_rad[row]
+        where = f"most of them around azimuth {degrees(azimuth):.1f}, elevation {degrees(elevation):.1f} deg"
+        return replace(belief, reason=f"{belief.reason}; {where}", marks=marks)
 
     def misfit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Misfit:
         """Return the test of the target's model by the residuals of neighbouring returns.

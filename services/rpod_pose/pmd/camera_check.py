@@ -41,8 +41,12 @@ class CameraCheck:
             return
         self._others[sensor] += not pinned
         if pinned or self._others[sensor] <= _PATIENCE:
-            remedy = "; `reset` the estimator if the new one is right" * pinned
-            raise MessageRejectedError(Reason.OTHER_CAMERA, f"{why} in the frames before{remedy}")
+            remedy = (
+                "`reset` the estimator if the new one is right"
+                if pinned
+                else f"it is used after {_PATIENCE} such frames in a row; let one driver alone publish it"
+            )
+            raise MessageRejectedError(Reason.OTHER_CAMERA, f"{why} in the frames before; {remedy}")
         self._known[sensor] = camera
         self._others[sensor] = 0
 

@@ -17,12 +17,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import cast
 from rpod_pose.errors import PoseError
+from rpod_pose.surroundings.body_check import BodyBook, Place, sighting
 from rpod_pose.surroundings.separation import NEIGHBOURS, RangeImage
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import between, chained
 from rpod_schemas.topics import CHASER
 from rpod_target.mesh_files import surface_m
+from rpod_target.topology import unit_normals
 
 LONGEST_GAP_S = 0.1
 """Time from the newest reading beyond which the place of a body is not known: an arm that moves with 0.3 m/s
@@ -43,6 +45,8 @@ class Surface:
     frame: str
     triangles_m: FloatArray
     """Corners, shape (T, 3, 3)."""
+    normals: FloatArray
+    """Unit normals, shape (T, 3)."""
     tolerance_m: float
 
     @classmethod
@@ -52,8 +56,9 @@ class Surface:
             corners_m = surface_m(folder / body.file, body.metres_per_unit)
         except (OSError, ValueError) as error:
             raise KnownBodiesError(f"body {name}: {folder / body.file}: {error}") from error
-        placed = body.pose.apply(corners_m.reshape(-1, 3)).reshape(corners_m.shape)
-        return cls(name, body.frame, np.ascontiguousarray(placed), body.tolerance_m)
+        moved = body.pose.apply(corners_m.reshape(-1, 3)).reshape(corners_m.shape)
+        triangles_m = np.ascontiguousarray(moved)
+        return cls(name, body.frame, triangles_m, unit_normals(triangles_m), body.tolerance_m)
 
 
 class FrameTrack:
@@ -108,6 +113,8 @@ class KnownBodies:
         frames = sorted({surface.frame for surface in surfaces} - {CHASER})
         self.tracks: dict[str, FrameTrack] = {frame: FrameTrack() for frame in frames}
         """Readings of the frames that move, by name."""
+        self.book = BodyBook()
+        """What the frames have shown of the bodies."""
 
     @classmethod
     def of(cls, bodies: Mapping[str, KnownBody], folder: Path) -> Self | None:
@@ -120,45 +127,65 @@ class KnownBodies:
         """Return the frames whose pose at a stamp is not known."""
         return tuple(frame for frame, track in self.tracks.items() if track.at(stamp_ns) is None)
 
-    def hiding(self, image: RangeImage, stamp_ns: int, T_chaser_sensor: RigidTransform) -> NDArray[np.bool_]:
+    def hiding(
+        self, image: RangeImage, stamp_ns: int, T_chaser_sensor: RigidTransform, sensor: str = ""
+    ) -> NDArray[np.bool_]:
         """Return the rays that tell nothing of the target, because a body is there, shape (rows, columns).
+
+        What the frame shows of each body is noted in ``book``. A body that the sensor sees elsewhere hides
+        nothing: the frame is used as if it were not known.
 
         Args:
             image: ranges of a frame.
             stamp_ns: stamp of the frame.
             T_chaser_sensor: mount of the sensor.
+            sensor: its name.
         """
         hides = np.zeros(image.range_m.shape, np.bool_)
+        axes = T_chaser_sensor.rotation.as_matrix()
         for surface in self._surfaces:
             moved = self.tracks[surface.frame].at(stamp_ns) if surface.frame != CHASER else None
             if surface.frame != CHASER and moved is None:
                 continue
             T_sensor_chaser = T_chaser_sensor.inv()
             pose = T_sensor_chaser if moved is None else chained(T_sensor_chaser, moved)
-            hides |= _hidden_by(image, surface, pose)
+            place = placed(image, surface, pose)
+            if place is not None and self.book.take(sensor, sighting(surface.name, image, place), axes):
+                hides |= _hidden_by(image, place)
         return hides
 
 
-def _hidden_by(image: RangeImage, surface: Surface, pose: RigidTransform) -> NDArray[np.bool_]:
+def placed(image: RangeImage, surface: Surface, pose: RigidTransform) -> Place | None:
+    """Return a body as its pose places it in a frame; None if no ray meets it."""
+    hits = cast(image.grid, surface.triangles_m, pose)
+    rendered_m, met = hits.range_m, hits.triangle >= 0
+    if not met.any():
+        return None
+    tolerance_m = surface.tolerance_m
+    reach = image.rays_across(tolerance_m, float(rendered_m[met].min()))
+    shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - tolerance_m
+    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + tolerance_m
+    cosine = np.zeros(met.shape)
+    normals = pose.rotation.apply(surface.normals[hits.triangle[met]])
+    cosine[met] = np.abs((normals * image.grid.directions[met]).sum(axis=1))
+    return Place(rendered_m, nearest_m, farthest_m, cosine, tolerance_m, reach)
+
+
+def _hidden_by(image: RangeImage, place: Place) -> NDArray[np.bool_]:
     """Return the rays on which a body is: those that end at its surface, or that must have met it.
 
     The surface may be off by its tolerance in each direction. Pixels beside these see the body and what is
     next to it, so that their ranges are neither's.
     """
-    rendered_m = cast(image.grid, surface.triangles_m, pose).range_m
-    met = np.isfinite(rendered_m)
-    if not met.any():
-        return met
-    reach = image.rays_across(surface.tolerance_m, float(rendered_m[met].min()))
-    shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    met = np.isfinite(place.rendered_m)
+    shape = np.ones((2 * place.reach + 1, 2 * place.reach + 1), np.uint8)
     around, surely = (change(met.view(np.uint8), shape).view(np.bool_) for change in (cv2.dilate, cv2.erode))
-    nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - surface.tolerance_m
-    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + surface.tolerance_m
     measured = image.range_m > 0.0
-    before = measured & (image.range_m < nearest_m)
-    beyond = measured & (image.range_m > farthest_m) & ~surely
+    before = measured & (image.range_m < place.nearest_m)
+    beyond = measured & (image.range_m > place.farthest_m) & ~surely
     on_body = around & ~before & ~beyond
-    if reach == 1:  # rays are farther apart than the tolerance: each sees one surface
+    if place.reach == 1:  # rays are farther apart than the tolerance: each sees one surface
         return on_body
     beside = cv2.dilate(on_body.view(np.uint8), NEIGHBOURS).view(np.bool_)
     hidden: NDArray[np.bool_] = on_body | (beside & ~before)

@@ -138,6 +138,8 @@ class KnownParts:
     unused: NDArray[np.bool_] | None
     background: Background | None
     bodies: KnownBodies | None = None
+    sensor: str = ""
+    """Name of the sensor."""
 
     @classmethod
     def of(
@@ -146,6 +148,8 @@ class KnownParts:
         frames: Frames,
         folder: Path,
         bodies: KnownBodies | None = None,
+        *,
+        sensor: str = "",
     ) -> Self:
         """Return what is known of a sensor's frames; files are relative to a folder.
 
@@ -159,7 +163,7 @@ class KnownParts:
                 raise KnownSurroundingsError(f"mask {folder / known.mask} is no image that can be read")
             unused = image == 0
         background = None if known.background is None else Background.read(folder / known.background)
-        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background, bodies)
+        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background, bodies, sensor)
 
     def without(self, frame: Any) -> Any:
         """Return a frame without what is known to be no target.
@@ -195,7 +199,9 @@ class KnownParts:
         image = None if self.bodies is None else self.frames.image(frame, fine=True)
         if self.bodies is None or image is None:
             return left
-        return self.frames.behind_bodies(left, self.bodies.hiding(image, stamp_ns, T_chaser_sensor))
+        return self.frames.behind_bodies(
+            left, self.bodies.hiding(image, stamp_ns, T_chaser_sensor, self.sensor)
+        )
 
 
 def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None:
@@ -227,4 +233,4 @@ def known_parts(
         return None
     if frames is None:
         raise KnownSurroundingsError(f"{sensor}: sensors of its kind have no known surroundings")
-    return KnownParts.of(known or SensorSurroundings(), frames, path.parent, bodies)
+    return KnownParts.of(known or SensorSurroundings(), frames, path.parent, bodies, sensor=sensor)

@@ -12,9 +12,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
+from rpod_logger import writer
 from rpod_logger.writer import WriterSettings, channel_topic, create_log
 from rpod_schemas.cdr import type_hash
-from rpod_schemas.topics import CLOCK, ROSOUT, TF_STATIC, Namespace, Topic
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ROSOUT, TF_STATIC, Namespace, Topic
 
 SETTINGS = WriterSettings(Namespace(), "rpod test")
 RAW = Topic("lab/raw", "")
@@ -73,6 +74,33 @@ def test_rosbags_reads_the_quality_of_service_and_the_type_hash(tmp_path, arrive
         "/clock": type_hash(CLOCK.type),
         "/rosout": type_hash(ROSOUT.type),
     }
+
+
+def test_each_publisher_of_a_stream_has_a_channel_of_its_own_and_those_of_diagnostics_share_one(
+    tmp_path, arrive, monkeypatch
+):
+    monkeypatch.setattr(writer, "_MOST_CHANNELS", 3)
+    log = create_log(tmp_path, "run", SETTINGS)
+    for number, gid in enumerate((b"a", b"b", b"a", b"c", b"d")):
+        log.write(arrive(CLOCK, number + 1, gid=gid * 16))
+        log.write(arrive(DIAGNOSTICS, number + 1, payload=b"", gid=gid * 16))
+    log.close()
+    with log.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    found = sorted(
+        (
+            channel.topic,
+            channel.metadata.get("publisher", ""),
+            summary.statistics.channel_message_counts[number],
+        )
+        for number, channel in summary.channels.items()
+    )
+    assert found == [
+        ("/clock", "", 2),
+        ("/clock", "61" * 16, 2),
+        ("/clock", "62" * 16, 1),
+        ("/diagnostics", "", 5),
+    ]
 
 
 def test_opaque_bytes_are_kept_and_do_not_hinder_rosbags(tmp_path, arrive):

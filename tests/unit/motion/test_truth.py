@@ -9,9 +9,10 @@ from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
 from rpod_schemas.cdr import decode, encode
-from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
+from rpod_schemas.config.motion import BodyMotionConfig, MotionConfig, TruthErrorConfig
 from rpod_schemas.messages import read_odometry, read_transforms
-from rpod_schemas.topics import REFERENCE, SUN, TF, TRUTH
+from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import BODY, REFERENCE, SUN, TF, TRUTH
 
 EPOCH_NS = 1_767_225_600_000_000_000
 STEP_NS = 4_000_000
@@ -88,3 +89,25 @@ def test_the_truth_states_its_error_and_the_reference_is_exact(motion):
         np.testing.assert_allclose(known.pose_covariance, error.covariance)
         off_m = np.linalg.norm(known.pose.translation - exact.pose.translation)
         assert 0.0 < off_m < 5.0 * 1.56e-3
+
+
+def test_the_frames_of_known_bodies_move_with_what_they_are_fixed_to_and_have_their_error(motion):
+    pose, error = make_pose(translation_m=(0.5, 1.0, -1.5)), make_pose(translation_m=(0.0, 0.2, 0.0))
+    bodies = {
+        "forearm": BodyMotionConfig(pose=pose, error=error, rate_hz=50.0),
+        "stand": BodyMotionConfig(fixed_to="chaser", pose=pose, rate_hz=10.0),
+    }
+    node = KeptMessages()
+    truth = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, bodies=bodies)
+    for tick in range(50):
+        truth.publish(tick)
+    arm, stand = (
+        [read_odometry(message) for message in node.of(BODY.at(frame))] for frame in ("forearm", "stand")
+    )
+    assert [odometry.stamp_ns for odometry in arm] == [EPOCH_NS + 5 * k * STEP_NS for k in range(10)]
+    assert len(stand) == 2
+    for k, odometry in enumerate(arm):
+        expected = motion.state(k / 50.0).T_chaser_target.apply((0.5, 1.2, -1.5))
+        np.testing.assert_allclose(odometry.pose.translation, expected, atol=1e-12)
+        assert (odometry.frame_id, odometry.child_frame_id) == ("chaser", "forearm")
+    np.testing.assert_allclose(stand[1].pose.as_matrix(), pose.as_matrix())

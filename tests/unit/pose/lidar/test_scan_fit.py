@@ -157,6 +157,21 @@ def test_every_way_off_the_truth_is_less_likely():
             assert fitted(T * step, scan)[0].log_likelihood < best - 20.0
 
 
+@pytest.mark.parametrize("shift_m", [1.5, 4.0])
+def test_the_rays_that_contradict_a_pose_are_marked(shift_m):
+    T = random_pose(3)
+    scan, wrong = scan_at(T, frame=3), T * make_pose(translation_m=(0.0, shift_m, 0.0))
+    fit, seen = fitted(wrong, scan)
+    belief = tracker().model.belief(seen, *parts(wrong), fit)
+    hits = cast(tracker().view.grid, load(BULKY).triangles_m, wrong, cull_back_faces=True)
+    met, measured = hits.triangle >= 0, seen.range_m > 0.0
+    marked = belief.marks.marked
+    assert (marked & measured).sum() == fit.agreement.inconsistent
+    assert marked[measured & ~met].all()
+    assert not marked[~measured & ~met].any()
+    assert (marked & ~measured).sum() == (met & ~measured).sum() > fit.agreement.missing >= 1.0
+
+
 def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
     T = random_pose(3)
     points_m = scan_at(T, frame=3).points_m.copy()
@@ -168,8 +183,19 @@ def test_a_scan_of_half_the_target_says_that_the_other_half_is_missing():
     assert half.agreement.inconsistent <= whole.agreement.inconsistent
     assert reason_against(T, scan_of(points_m)) == (
         f"does not explain the scan: of {seen.returns} returns {half.agreement.inconsistent} contradict "
-        f"the pose, {half.agreement.missing:.0f} more are missing"
+        f"the pose, {half.agreement.missing:.0f} more are missing; most of them around azimuth "
+        f"{marked_around(T, scan_of(points_m))} deg"
     )
+
+
+def marked_around(T, scan):
+    """Return the median direction of the marked rays, as the operator is told."""
+    fit, seen = fitted(T, scan)
+    marked = tracker().model.belief(seen, *parts(T), fit).marks.marked
+    view = tracker().view
+    row, column = (int(np.median(places) + 0.5) for places in np.nonzero(marked))
+    azimuth, elevation = np.rad2deg((view.azimuth_rad[column], view.elevation_rad[row]))
+    return f"{azimuth:.1f}, elevation {elevation:.1f}"
 
 
 def test_returns_where_the_pose_predicts_none_all_contradict_it():

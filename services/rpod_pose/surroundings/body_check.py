@@ -1,0 +1,305 @@
+"""Whether sensors see a known body where its pose says that it is.
+
+A body whose encoders, calibration or file are wrong hides good pixels and leaves its own. A ray that should
+meet the body ends on it, before it (something hides the body there), beyond it, or nowhere. If most of the
+rays that nothing hides end elsewhere, the same shape is looked for nearby: its surface has to be found at one
+offset, and has to end where the body ends, so that a wall behind the body is not taken for it. A body that is
+dark gives no ranges at all. This is told apart: it is not seen, and not checked.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_pose.surroundings.separation import RangeImage
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+
+LEAST_RAYS = 20
+"""Least number of rays that should meet a body, and that nothing hides, by which it is judged."""
+LEAST_SHARE = 0.5
+"""Least share of these rays that must end on it: the other half may be dark, or too steep for a range."""
+MOST_BEYOND = 0.1
+"""Greatest share of its rays with a range that may end beyond a body: none does within its tolerance."""
+FARTHEST_STEPS = 8
+"""Greatest offset at which the shape is looked for, in tolerances, along each direction."""
+FOUND_SHARE, ENDS_SHARE = 0.6, 0.4
+"""Least share of the shape that is found at an offset, and how much less of what surrounds it may agree."""
+THICK = 0.1
+"""Least share of a body's rays farther than its tolerance from its outline, so that it is not thin."""
+STEEPEST = 0.2
+"""Least cosine of incidence by which a distance along a ray is turned into one from the surface."""
+LEAST_SEEN = 0.75
+"""Least share of the shape that must be in the image at an offset."""
+BETTER_SHARE = 0.2
+"""Least share by which more of the shape is found at an offset than at its announced place."""
+NEAREST_FIRST = 0.03
+"""Share that an offset of one tolerance must win: along a long limb many offsets are alike."""
+MOST_INSIDE, MOST_AROUND = 300, 150
+"""Most rays on the shape and around it that are compared at each offset."""
+FRAMES = 3
+"""Number of judged frames in a row after which a body's state changes."""
+
+
+class Verdict(StrEnum):
+    """What a frame shows of a body."""
+
+    IN_PLACE = "in_place"
+    """It is seen where its pose says."""
+    ELSEWHERE = "elsewhere"
+    """Rays pass through its announced place, or its shape is found at another one."""
+    UNSEEN = "unseen"
+    """Most of its rays have no range: it is dark, or it is not there."""
+    HIDDEN = "hidden"
+    """Too few rays should meet it, or other things hide it: it is not judged."""
+
+
+class Place(NamedTuple):
+    """A body as its pose and its tolerance place it in a frame."""
+
+    rendered_m: Float32Array
+    """Range of its surface, shape (rows, columns), infinite on rays that do not meet it."""
+    nearest_m: Float32Array
+    """Least range of its surface, if it is off by its tolerance, same shape."""
+    farthest_m: Float32Array
+    """Greatest range, same shape, not above the tolerance on rays far from it."""
+    cosine: FloatArray
+    """Cosine of incidence of the rays that meet it, same shape."""
+    tolerance_m: float
+    reach: int
+    """Number of rays that its tolerance spans."""
+
+    def agreeing(self, measured_m: Float32Array) -> NDArray[np.bool_]:
+        """Return the rays whose measured ranges, 0 without one, are those of the body, shape (rows, columns).
+
+        The distance from its surface counts, not that along the ray. A body thinner than its tolerance may be
+        beside its rays altogether.
+        """
+        met, measured = np.isfinite(self.rendered_m), measured_m > 0.0
+        shape = np.ones((2 * self.reach + 1, 2 * self.reach + 1), np.uint8)
+        if np.count_nonzero(cv2.erode(met.view(np.uint8), shape)) < THICK * np.count_nonzero(met):
+            return measured & (measured_m >= self.nearest_m) & (measured_m <= self.farthest_m)
+        away_m = np.abs(measured_m - np.where(met, self.rendered_m, 0.0)) * np.maximum(self.cosine, STEEPEST)
+        agrees: NDArray[np.bool_] = measured & met & (away_m <= self.tolerance_m)
+        return agrees
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What one frame shows of one body."""
+
+    body: str
+    verdict: Verdict
+    tolerance_m: float
+    rays: int = 0
+    """Number of rays that should meet the body and that nothing hides."""
+    in_place: int = 0
+    """Number of these that end on it."""
+    beyond: int = 0
+    """Number of these that end beyond it."""
+    offset_m: FloatArray | None = None
+    """Offset at which the shape is found, sensor axes, shape (3,); None if it is not."""
+
+    @property
+    def missing(self) -> int:
+        """Number of the rays without a range."""
+        return self.rays - self.in_place - self.beyond
+
+
+def sighting(body: str, image: RangeImage, place: Place) -> Sighting:
+    """Return what a frame shows of a body."""
+    met, measured_m = np.isfinite(place.rendered_m), image.range_m
+    shape = np.ones((2 * place.reach + 1, 2 * place.reach + 1), np.uint8)
+    measured = measured_m > 0.0
+    near = cv2.dilate(place.agreeing(measured_m).view(np.uint8), shape).view(np.bool_)
+    in_place = int(np.count_nonzero(met & near))
+    beyond = int(np.count_nonzero(met & ~near & measured & (measured_m > place.farthest_m)))
+    missing = int(np.count_nonzero(met & ~near & ~measured))
+    every, rays = int(np.count_nonzero(met)), in_place + beyond + missing
+    passed = beyond > MOST_BEYOND * (in_place + beyond)
+    if every < LEAST_RAYS:
+        return Sighting(body, Verdict.HIDDEN, place.tolerance_m, rays, in_place, beyond)
+    if in_place >= LEAST_SHARE * every and not passed:
+        return Sighting(body, Verdict.IN_PLACE, place.tolerance_m, rays, in_place, beyond)
+    offset_m = _offset(image, place, met, in_place / every)
+    if offset_m is not None:
+        verdict = Verdict.ELSEWHERE
+    elif rays < LEAST_RAYS:
+        verdict = Verdict.HIDDEN
+    elif passed:
+        verdict = Verdict.ELSEWHERE
+    else:
+        verdict = Verdict.IN_PLACE if in_place >= LEAST_SHARE * rays else Verdict.UNSEEN
+    return Sighting(body, verdict, place.tolerance_m, rays, in_place, beyond, offset_m)
+
+
+class _Rays(NamedTuple):
+    """Some rays of an image, with the range of the body's surface on each."""
+
+    row: NDArray[np.intp]
+    column: NDArray[np.intp]
+    rendered_m: Float32Array
+
+    def shifted(
+        self, image_m: Float32Array, shifts: NDArray[np.intp]
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return how far measured ranges are beyond the surface if it is shifted, and which rays are seen.
+
+        Args:
+            image_m: measured ranges, 0 without one.
+            shifts: rows and columns of each shift, shape (S, 2).
+
+        Returns:
+            Differences, m, NaN without a range; and which of the rays are in the image; each of shape (S, N).
+        """
+        row, column = (place + shifts[:, k : k + 1] for k, place in enumerate((self.row, self.column)))
+        inside = (row >= 0) & (row < image_m.shape[0]) & (column >= 0) & (column < image_m.shape[1])
+        measured_m = np.where(inside, image_m[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
+        return np.where(measured_m > 0.0, measured_m - self.rendered_m, np.nan), inside
+
+
+def _some(rays: NDArray[np.bool_], rendered_m: Float32Array, most: int) -> _Rays:
+    """Return at most about so many of some rays, evenly taken."""
+    row, column = np.nonzero(rays)
+    every = max(1, row.size // most)
+    row, column = row[::every], column[::every]
+    return _Rays(row, column, rendered_m[row, column])
+
+
+def _offset(
+    image: RangeImage, place: Place, met: NDArray[np.bool_], in_place_share: float
+) -> FloatArray | None:
+    """Return the offset of the body's shape in the sensor's axes, shape (3,), m; None if it is not found."""
+    inside = _some(met, place.rendered_m, MOST_INSIDE)
+    ring_m = place.farthest_m - np.float32(place.tolerance_m)
+    around = _some(_beside(met, place.reach), ring_m, MOST_AROUND)
+    steps = np.arange(-FARTHEST_STEPS, FARTHEST_STEPS + 1)
+    in_tolerances = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    shifts = in_tolerances * place.reach
+    off_m, seen = inside.shifted(image.range_m, shifts)
+    along_m = _medians(off_m, seen)
+    near = np.abs(along_m) <= FARTHEST_STEPS * place.tolerance_m
+    share = _agreeing(off_m, along_m, seen, place.tolerance_m) * near
+    beside_m, beside = around.shifted(image.range_m, shifts)
+    goes_on = _agreeing(beside_m, along_m, beside, place.tolerance_m)
+    score = share - goes_on - NEAREST_FIRST * np.hypot(*in_tolerances.T)
+    score[(share < FOUND_SHARE) | (share - goes_on < ENDS_SHARE)] = -np.inf
+    best = int(np.argmax(score))
+    if score[best] == -np.inf or share[best] < in_place_share + BETTER_SHARE:
+        return None
+    found = seen[best]
+    row, column, rendered_m = inside.row[found], inside.column[found], inside.rendered_m[found]
+    directions: FloatArray = image.grid.directions
+    down, right = shifts[best]
+    before_m = rendered_m[:, None] * directions[row, column]
+    after_m = (rendered_m + along_m[best])[:, None] * directions[row + down, column + right]
+    offset_m: FloatArray = (after_m - before_m).mean(axis=0).astype(np.float64)
+    return offset_m
+
+
+def _medians(off_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+    """Return the median of each row; infinite if too few rays are in the image, or have a range."""
+    returned = np.isfinite(off_m).sum(axis=1)
+    ordered = np.sort(off_m, axis=1)  # NaN comes last
+    medians_m: FloatArray = ordered[np.arange(len(ordered)), returned // 2]
+    usable = (
+        (2 * returned > seen.sum(axis=1)) & (seen.sum(axis=1) >= LEAST_SEEN * seen.shape[1]) & (returned > 0)
+    )
+    return np.where(usable, medians_m, np.inf)
+
+
+def _agreeing(
+    off_m: FloatArray, along_m: FloatArray, seen: NDArray[np.bool_], tolerance_m: float
+) -> FloatArray:
+    """Return the share of the rays in the image at which the surface is found at an offset, shape (S,)."""
+    with np.errstate(invalid="ignore"):
+        agrees = np.abs(off_m - along_m[:, None]) <= tolerance_m
+    share: FloatArray = (agrees & seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    return share
+
+
+def _beside(met: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return the rays a tolerance beside those that meet a body."""
+    near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (max(reach - 1, 0), reach))
+    widened = (cv2.dilate(met.view(np.uint8), shape).view(np.bool_) for shape in (near, far))
+    inner, outer = widened
+    ring: NDArray[np.bool_] = outer & ~inner
+    return ring
+
+
+@dataclass
+class _Record:
+    state: Verdict = Verdict.IN_PLACE
+    newest: Verdict = Verdict.HIDDEN
+    in_a_row: int = 0
+    text: str = ""
+
+
+@dataclass
+class BodyBook:
+    """What the frames of each sensor have shown of each body, and what an operator must know."""
+
+    counts: Counter[tuple[str, str, Verdict]] = field(default_factory=Counter)
+    """Number of frames by body, sensor and verdict."""
+    _records: dict[tuple[str, str], _Record] = field(default_factory=dict)
+
+    def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
+        """Add what a frame of a sensor shows; return whether the body's pose is believed for this frame.
+
+        It is not where the sensor has seen the body elsewhere ``FRAMES`` times, and this frame shows nothing
+        else.
+
+        Args:
+            sensor: name of the sensor.
+            seen: what the frame shows.
+            R_chaser_sensor: the sensor's axes in the chaser's, shape (3, 3).
+        """
+        self.counts[seen.body, sensor, seen.verdict] += 1
+        record = self._records.setdefault((seen.body, sensor), _Record())
+        if seen.verdict is not Verdict.HIDDEN:
+            record.in_a_row = record.in_a_row + 1 if seen.verdict is record.newest else 1
+            record.newest = seen.verdict
+            if record.in_a_row >= FRAMES:
+                record.state = seen.verdict
+            if record.state is seen.verdict:
+                record.text = told(sensor, seen, R_chaser_sensor)
+        return record.state is not Verdict.ELSEWHERE or seen.verdict is Verdict.IN_PLACE
+
+    @property
+    def states(self) -> Iterator[tuple[str, str, Verdict, str]]:
+        """Yield body, sensor, state and its text, which is empty for a body that is seen in its place."""
+        for (body, sensor), record in self._records.items():
+            yield body, sensor, record.state, record.text
+
+
+def told(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
+    """Return what an operator must know of a body, with figures and remedy; empty if it is in its place."""
+    if seen.verdict in (Verdict.IN_PLACE, Verdict.HIDDEN):
+        return ""
+    if seen.verdict is Verdict.UNSEEN:
+        return (
+            f"{sensor} does not see the known body {seen.body}: {seen.missing} of {seen.rays} rays on it "
+            "have no range, so that its pose is not checked: it is too dark, or not there; compare it with "
+            "the sensor's picture"
+        )
+    remedy = (
+        "it is not taken out of the frames, and may be taken for the target: check the encoders and "
+        f"the base of its robot, its pose in the file of surroundings and the mount of {sensor}, or raise "
+        f"its tolerance_m ({seen.tolerance_m:g})"
+    )
+    if seen.offset_m is None:
+        return (
+            f"{sensor} does not see the known body {seen.body} where its pose says: of {seen.rays} rays that "
+            f"should meet it {seen.beyond} end beyond it and {seen.missing} nowhere; {remedy}"
+        )
+    x, y, z = R_chaser_sensor @ seen.offset_m
+    return (
+        f"{sensor} sees the known body {seen.body} {np.linalg.norm(seen.offset_m):.2f} m away from its pose, "
+        f"by about x {x:+.2f}, y {y:+.2f}, z {z:+.2f} m in the chaser's axes; {remedy}"
+    )
