@@ -10,7 +10,7 @@ SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
 
-.PHONY: help run test bounds check format lint types layers docs bench recording busy reading cluster hand-eye truth-error peers fuzz kills soak check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types layers docs site document-tests bench recording busy reading cluster hand-eye truth-error peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -46,7 +46,12 @@ layers: $(READY) ## Import layers
 	$(BIN)/lint-imports
 
 docs: $(READY) ## The site in build/site/html, its notebooks run, and every command and code block of the documents
+	@$(MAKE) --no-print-directory -j2 --output-sync=target site document-tests
+
+site: $(READY)
 	@PYTHONPATH=deploy/site $(BIN)/python -m rpod_site
+
+document-tests: $(READY)
 	$(BIN)/python -m pytest tests/documents -n 2 --dist worksteal $(ARGS)
 
 check-viewers: $(READY) ## A log and a report in other people's readers and viewers; gets what it needs
