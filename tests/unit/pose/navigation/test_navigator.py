@@ -285,6 +285,14 @@ def test_silence_is_told_with_predictions_until_the_track_is_lost():
     assert made.tick(START_S + 31.0) is None
 
 
+def test_a_clock_that_begins_at_zero_is_as_good_as_any():
+    # the LIDAR campaigns' first stamp is 0, and their second frame was lost: 0 was taken for "never accepted"
+    made = rig(pose=truth(0.0))
+    seen = [made.see(good(float(second))) for second in range(3)]
+    assert [output.status.mode for output in seen] == [Mode.TRACKING] * 3
+    assert all(output.odometry is not None for output in seen)
+
+
 def test_rejected_measurements_are_not_silence():
     made = tracking(silence_timeout_s=2.5, alert=WIDE)
     for number in range(1, 5):
