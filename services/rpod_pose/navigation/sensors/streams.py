@@ -14,7 +14,7 @@ PERIODS = 1.5
 
 @dataclass(frozen=True)
 class Stream:
-    """The frames of one sensor, accepted or not. A clock may begin at 0, so that any stamp may be a frame's."""
+    """The frames of one sensor, accepted or not. A clock may begin at 0: any stamp may be that of a frame."""
 
     heard_ns: int | None = None
     """Stamp of the newest frame; None if there is none."""
