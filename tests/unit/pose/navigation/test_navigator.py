@@ -470,7 +470,8 @@ def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
 
 def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
     """The target sets off between two frames: the second is believed once the first has arrived."""
-    made = tracking(START_S + 1.0, alert=WIDE)
+    slow = FilterConfig(initial_velocity_sigma_m_s=0.05)  # so that no manoeuvre explains the second alone
+    made = tracking(START_S + 1.0, alert=WIDE, filter_config=slow)
     assert not made.see(wrong(START_S + 2.0, offset_m=0.2)).status.accepted
     assert made.see(wrong(START_S + 1.5, offset_m=0.1)).status.accepted
     moved_m = made.state.history.state.T_chaser_target.translation - truth(START_S + 2.0).translation
