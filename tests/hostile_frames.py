@@ -10,6 +10,9 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarScan, PmdFrame, PmdInfo
 from rpod_target import load_target
 
+KINDS_OF_SENSOR = "lidar", "pmd"
 SIZES = ((1, 1), (2, 3), (40, 31), (64, 48))
 LENGTHS_M = (0.0, -0.0, 1e-30, 1e-3, 0.06, 1.0, 4.0, 30.0, 1e4, 1e30, 3e38, -4.0, np.inf, -np.inf, np.nan)
 FOCAL_PX = (0.01, 1.0, 90.0, 1e6)
@@ -78,22 +82,16 @@ def pose(seed: int) -> RigidTransform:
     return make_pose(rotation=Rotation.random(rng=rng), translation_m=place_m)
 
 
-def methods() -> tuple[Any, Any]:
-    """Return the methods of a LIDAR of 21 x 21 rays and of a PMD camera."""
+def methods(kind: str) -> Any:
+    """Return the methods of a LIDAR of 21 x 21 rays, or of a PMD camera."""
+    if kind == "pmd":
+        return methods_of(PmdInput(), load_target("mockup"))
     angles_rad = np.deg2rad(np.linspace(-10.0, 10.0, 21))
-    lidar = methods_of(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
-    return lidar, methods_of(PmdInput(), load_target("mockup"))
+    return methods_of(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
 
 
-def try_pmd(found: Any, frame: PmdFrame, guess: RigidTransform) -> None:
-    """Let the PMD methods see a frame: a refusal is a result, never an exception."""
-    found.tracker.track(frame, guess)
-    found.acquirer.acquire(frame)
-    found.acquirer.near(frame, guess)
-
-
-def try_lidar(found: Any, seen: LidarScan, guess: RigidTransform) -> None:
-    """Let the LIDAR's methods see a scan."""
+def attempt(found: Any, seen: PmdFrame | LidarScan, guess: RigidTransform) -> None:
+    """Let methods see a frame: a refusal is a result, never an exception."""
     found.tracker.track(seen, guess)
     found.acquirer.acquire(seen)
     found.acquirer.near(seen, guess)
@@ -109,25 +107,25 @@ def camera_of(number: int) -> Camera:
     return Camera(width=width, height=height, fx=fx, fy=fy, cx=middle[0], cy=middle[1], distortion=lens)
 
 
-def failures(numbers: Iterable[int]) -> Counter[str]:
-    """Return what was raised, and how often."""
-    (lidar, pmd), raised = methods(), Counter[str]()
+def failures(numbers: Iterable[int], kind: str) -> Counter[str]:
+    """Return what the methods of a kind of sensor raised, and how often."""
+    found, raised = methods(kind), Counter[str]()
     for number in numbers:
-        for attempt, found, seen in (
-            (try_pmd, pmd, pmd_frame(number, camera_of(number))),
-            (try_lidar, lidar, scan(number)),
-        ):
-            try:
-                attempt(found, seen, pose(number))
-            except Exception as error:  # noqa: BLE001 - every kind is a finding
-                last = [f for f in traceback.extract_tb(error.__traceback__) if "rpod_" in f.filename][-1]
-                place = f"{Path(last.filename).name}:{last.lineno}"
-                raised[f"{attempt.__name__}: {type(error).__name__}: {error} at {place}"] += 1
+        seen = pmd_frame(number, camera_of(number)) if kind == "pmd" else scan(number)
+        try:
+            attempt(found, seen, pose(number))
+        except Exception as error:  # noqa: BLE001 - every kind is a finding
+            last = [f for f in traceback.extract_tb(error.__traceback__) if "rpod_" in f.filename][-1]
+            place = f"{Path(last.filename).name}:{last.lineno}"
+            raised[f"{kind}: {type(error).__name__}: {error} at {place}"] += 1
     return raised
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore")
-    found = failures(range(*map(int, sys.argv[1:])))
+    numbers = range(*map(int, sys.argv[1:]))
+    with ProcessPoolExecutor(
+        len(KINDS_OF_SENSOR), get_context("spawn"), warnings.simplefilter, ("ignore",)
+    ) as pool:
+        found = sum(pool.map(partial(failures, numbers), KINDS_OF_SENSOR), Counter[str]())
     print(*found.items(), sep="\n")  # noqa: T201
     sys.exit(bool(found))

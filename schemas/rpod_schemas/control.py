@@ -34,15 +34,6 @@ class ErrorReply(Config):
     """Description of the error and its remedy."""
 
 
-class ReloadReply(Config):
-    """What a service that read its configuration again has changed."""
-
-    changed: dict[str, Any] = Field(default_factory=dict)
-    """New values of the fields that have changed, by name."""
-    needs_restart: tuple[str, ...] = ()
-    """Fields, joined by dots, in which the file differs and that do not change while the service runs."""
-
-
 class StatusReply(Config):
     """The status of a service."""
 

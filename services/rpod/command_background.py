@@ -23,11 +23,12 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
     sensors, found = {}, {}
     try:
         with open_log(logs[0]) as log:
-            for name, (background, frames) in learned_backgrounds(log).items():
+            for name, background in learned_backgrounds(log).items():
                 file = out.with_name(f"{out.stem}-{name}.npz")
                 background.write(file)
                 sensors[name] = {"background": file.name}
-                found[name] = {"frames": frames, "known_share": float((background.range_m > 0.0).mean())}
+                known_share = float((background.range_m > 0.0).mean())
+                found[name] = {"frames": background.frames, "known_share": known_share}
             tell_unreadable("rpod calibrate background", log)
         out.write_text(yaml.safe_dump({"sensors": sensors}), "utf-8")
     except (AnalysisError, KnownSurroundingsError, OSError) as error:

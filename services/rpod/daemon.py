@@ -16,9 +16,10 @@ from typing import Literal
 
 from rpod.reserve import Reserve
 from rpod.resolved import ResolvedService
-from rpod_runtime.awake import AwakeClock, await_end
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.notify import IN_RESERVE
+from rpod_runtime.processes import end_process
 from rpod_runtime.reserve import RESERVE
 from rpod_schemas.config.facility import BackoffConfig
 
@@ -144,9 +145,9 @@ class Daemon:
         if self._process is not None:
             code = self._process.poll()
             if code is not None:
-                self._bury(code)
+                self._note_end(code)
             elif self.state in ("starting", "ready"):
-                self._judge()
+                self._kill_if_late()
                 if self.state == "ready" and self.service.settings.reserve:
                     self.reserve.tend(self._clock.now_s() - self._ready_s)
         elif self.state == "waiting" and self._clock.now_s() >= self._due_s:
@@ -180,11 +181,8 @@ class Daemon:
         if self._process is not None:
             timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
             self.state = "stopping"
-            self._process.terminate()
-            if await_end(self._process, timeout_s) is None:
+            if end_process(self._process, timeout_s).forced:
                 log.error("%s did not stop within %g s; it was killed", self.name, timeout_s)
-                self._process.kill()
-                self._process.wait()
             self._release()
         self.state = "stopped"
 
@@ -210,7 +208,7 @@ class Daemon:
             self.state, self._ready_s = "ready", self._heard_s
             log.info("%s: ready after %.1f s", self.name, self._heard_s - self._started_s)
 
-    def _judge(self) -> None:
+    def _kill_if_late(self) -> None:
         """Kill a process that does not become ready in time, or whose main loop hangs."""
         settings, now_s = self.service.settings, self._clock.now_s()
         late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
@@ -221,7 +219,8 @@ class Daemon:
         if self._reason:
             self.send(signal.SIGKILL)  # its end is noticed in one of the next turns
 
-    def _bury(self, code: int) -> None:
+    def _note_end(self, code: int) -> None:
+        """Note how the process has ended, and whether another one is started."""
         worked_s = self._clock.now_s() - self._ready_s if self._ready_s else 0.0
         how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
         self.last_end = f"{self._reason}, {how}" if self._reason else how

@@ -1,7 +1,7 @@
 """Waits until the log has what a service has published, before that service is stopped.
 
-What a receiver has missed it gets from the cache of the publisher, which ends with the publisher. A logger
-that stood still meanwhile could not ask for it any more.
+What a receiver has missed, it gets from the publisher's cache, which ends with the publisher. A logger that
+stood still meanwhile could not ask for it any more.
 """
 
 import logging
@@ -16,51 +16,72 @@ from rpod_schemas.types import PUBLISHED
 log = logging.getLogger(__name__)
 
 _ANSWER_S = 2.0
+"""Longest time of one question, s."""
 _PATIENCE_S = 20.0
-"""Longest time until the logger answers."""
+"""Longest time until all is received, s."""
 _PROGRESS_S = 2.0
-"""Longest time in which nothing of what is missing arrives: it does not come any more. Publishers tell their
-last numbers each 0.2 s."""
+"""Longest time in which nothing of what is missing arrives, s: it does not come any more. Publishers tell
+their last numbers each 0.2 s."""
 _POLL_S = 0.05
 
 
 def await_logged(node: Node, service: str, logger: str, *, check: Callable[[], None]) -> bool:
     """Wait until the logger has received all that a service has published by now; return whether it has.
 
-    ``check`` is called in each turn, and may raise if a service has died. A topic that the logger does not
-    record is left out. The messages of several publishers of one topic are counted together.
+    A topic that the logger does not record is left out. The messages of several publishers of one topic are
+    counted together.
+
+    Args:
+        node: the node that asks.
+        service: name of the service.
+        logger: name of the logger.
+        check: called in each turn; it may raise if a service has died.
     """
-    published = {
-        name.removeprefix(PUBLISHED): count
-        for name, count in _counters(node, service).items()
-        if name.startswith(PUBLISHED)
-    }
-    clock, least, since_s = AwakeClock(2.0 * _ANSWER_S), float("inf"), 0.0
-    while published:
+    published = _published(_counters(node, service))
+    if not published:
+        log.warning(
+            "%s does not say what it has published; it is stopped without waiting for the log", service
+        )
+        return False
+    clock, least, progress_s = AwakeClock(2.0 * _ANSWER_S), float("inf"), 0.0
+    while True:
         check()
-        heard = _counters(node, logger)
-        missing = _missing(published, heard)
+        received = _counters(node, logger)
+        missing = _missing(published, received)
+        if received and not missing:
+            return True
         now_s = clock.now_s()
-        if heard and not missing:
-            break
         if sum(missing.values()) < least:
-            least, since_s = sum(missing.values()), now_s
-        if now_s > _PATIENCE_S or (heard and now_s - since_s > _PROGRESS_S):
-            log.warning("of %s the logger has not received: %s", service, missing or "it does not answer")
+            least, progress_s = sum(missing.values()), now_s
+        if now_s > _PATIENCE_S or (received and now_s - progress_s > _PROGRESS_S):
+            what = _listed(missing) if received else "an unknown number of messages, as it does not answer"
+            log.warning("%s is stopped, but the logger lacks %s; the log will say so", service, what)
             return False
         time.sleep(_POLL_S)
-    return True
 
 
-def _missing(published: dict[str, int], heard: dict[str, int]) -> dict[str, int]:
+def _published(counters: dict[str, int]) -> dict[str, int]:
+    """Return the number of published messages by topic; empty for a service that did not answer."""
+    return {
+        name.removeprefix(PUBLISHED): count for name, count in counters.items() if name.startswith(PUBLISHED)
+    }
+
+
+def _missing(published: dict[str, int], received: dict[str, int]) -> dict[str, int]:
     """Return the number of messages that the logger has neither received nor given up, by topic."""
     settled = {
-        topic: heard.get(f"received/{topic}", 0) + heard.get(f"missed/{topic}", 0) for topic in published
+        topic: received.get(f"received/{topic}", 0) + received.get(f"missed/{topic}", 0)
+        for topic in published
     }
     return {topic: count - settled[topic] for topic, count in published.items() if 0 < settled[topic] < count}
 
 
+def _listed(missing: dict[str, int]) -> str:
+    return ", ".join(f"{count} of {topic}" for topic, count in sorted(missing.items()))
+
+
 def _counters(node: Node, service: str) -> dict[str, int]:
+    """Return the counters of a service; empty if it does not answer."""
     try:
         return node.ask(service, "status", StatusReply, timeout_s=_ANSWER_S).counters
     except QueryFailedError:

@@ -34,7 +34,7 @@ class AlreadyUpError(RunError):
     """Another process keeps this facility up."""
 
     def __init__(self, folder: Path, pid: int | None) -> None:
+        who = "another process" if pid is None else f"process {pid}"
         super().__init__(
-            f"the facility is up already: process {pid} holds {folder}; "
-            "'rpod ps' shows it, 'rpod down' ends it"
+            f"the facility is up already: {who} holds {folder}; 'rpod ps' shows it, 'rpod down' ends it"
         )

@@ -100,7 +100,7 @@ class Progress:
         for received in self._inbox.wait(0.0):
             try:
                 self._take(received)
-            except MessageRejectedError:
+            except MessageRejectedError:  # the logger and the estimator count it
                 continue
         if self._live:
             self._live.update(self._screen())

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
+from rpod_runtime.processes import end_process
+
 log = logging.getLogger(__name__)
 
 ReserveState = Literal["none", "starting", "ready"]
@@ -97,12 +99,7 @@ class Reserve:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    end_process(process, _END_S)
     if process.stdin:
-        with suppress(OSError):
+        with suppress(OSError):  # what was written to a process that has ended cannot be flushed
             process.stdin.close()

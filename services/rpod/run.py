@@ -182,6 +182,9 @@ def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
         node.ask("emulator", "start", Accepted, request, timeout_s=_ANSWER_S)
         if speed == "max" or time.monotonic() - begin_s < _LEAD_S / 2.0:
             break  # else the epoch is near, or over: the emulator takes another one, motion would not
+    else:
+        text = "this machine stood still in each of %d starts: the first frames of the run may be missing"
+        log.warning(text, _STARTS)
     request = StartRequest(epoch_ns=epoch_ns, duration_s=scenario.duration_s)
     node.ask("motion", "start", Accepted, request, timeout_s=_ANSWER_S)
     return epoch_ns

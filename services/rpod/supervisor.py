@@ -18,8 +18,8 @@ from typing import Self
 from pydantic import BaseModel
 
 from rpod.errors import ServiceDiedError
-from rpod_runtime.awake import await_end
 from rpod_runtime.lifecycle import SUPERVISED
+from rpod_runtime.processes import end_process
 
 log = logging.getLogger(__name__)
 
@@ -132,19 +132,15 @@ class Supervisor:
         if service is None:
             return
         self._say(f"stopping {verb}")
-        process = service.process
         if service.down:
             service.close()
             return
-        process.terminate()
         try:
-            code = await_end(process, _STOP_TIMEOUT_S)
-            if code is None:
-                log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
-                process.kill()
-                code = process.wait()
+            code, forced = end_process(service.process, _STOP_TIMEOUT_S)
         finally:
             service.close()
+        if forced:
+            log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
         if code not in (0, -signal.SIGTERM) and not service.optional:
             raise ServiceDiedError(verb, code, service.tail(), service.log)
 

@@ -28,7 +28,7 @@ class Adapter:
     """Reference to ``(config) -> Driver``; it raises ``MissingSdkError`` where the device's library is not
     installed."""
     tested: str
-    """With what it was tested, as "without a device"."""
+    """What it was tested with, as "without a device"."""
     needs: str = ""
     """What has to be installed for it, as ``pip install 'rpod[ifm]'``; empty if nothing."""
 

@@ -253,9 +253,5 @@ class Estimator:
 
     def _log_change(self, before: Mode, output: Output) -> None:
         if output.status.mode != before:
-            log.info(
-                "%s -> %s%s",
-                before.name,
-                output.status.mode.name,
-                f": {output.status.reason}" * bool(output.status.reason),
-            )
+            reason = f": {output.status.reason}" if output.status.reason else ""
+            log.info("%s -> %s%s", before.name, output.status.mode.name, reason)

@@ -36,9 +36,11 @@ class _Sensor:
     new_s: float | None = None
     """Arrival of its last frame that was accepted, with content that differs from the frame before."""
     gaps_s: deque[float] = field(default_factory=lambda: deque(maxlen=9))
+    """Times between its last frames."""
     contradiction: str = ""
+    """Why its last frame must not be used at all; empty if it may be."""
     repeats: int = 0
-    """Number of frames since then that are identical to it."""
+    """Number of frames since its last new one that are identical to it."""
 
     def deadline_s(self, stale_after_s: float) -> float:
         """Return the time up to which its last measurement supports an estimate."""
@@ -104,10 +106,12 @@ class Validity:
                 return f"{name}: {sensor.contradiction}"
             if sensor.repeats and now_s > sensor.deadline_s(self._stale_after_s):
                 return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
-        if now_s > self._deadline_s():
-            newest_s = max(each.new_s or 0.0 for each in self._sensors.values())
-            return f"no new measurement was accepted for {now_s - newest_s:.2f} s"
-        return ""
+        if now_s <= self._deadline_s():
+            return ""
+        accepted_s = [each.new_s for each in self._sensors.values() if each.new_s is not None]
+        if not accepted_s:
+            return "no measurement was accepted yet"
+        return f"no new measurement was accepted for {now_s - max(accepted_s):.2f} s"
 
 
 class Beacon:

@@ -12,6 +12,7 @@ from rpod_logger.memory import keep_freed_memory
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
+from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.lifecycle import Stop
@@ -24,8 +25,9 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _TICK_S = 0.25
-_LAST_WORD_S = 3.0
-"""Longest times that the close of a file waits for answers, and then for the messages that these tell of."""
+_CLOSE_S = 3.0
+"""Longest time, s, for which the close of a file waits for answers, and then for the messages that are
+missing by these answers."""
 _POLL_S = 0.02
 _MOST_HEARTS = 1000
 """Largest number of publishers of heartbeats that are remembered; one that was forgotten is asked again."""
@@ -60,7 +62,9 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
             farewells.judge(time.monotonic())
         services.conclude()
         if isinstance(stop, Stop) and stop.orphaned:
-            farewells.doubt("the run was ended by a kill: its supervisor ended without stopping the logger")
+            farewells.add_reason(
+                "the run was ended by a kill: its supervisor ended without stopping the logger"
+            )
 
 
 def _follow_publishers(node: Node) -> Farewells:
@@ -120,10 +124,10 @@ class Services:
     def conclude(self) -> None:
         """Ask all services before a file is closed, and wait until what they published has arrived."""
         begin_s = time.monotonic()
-        self.ask(_LAST_WORD_S)
+        self.ask(_CLOSE_S)
         self._farewells.judge(time.monotonic())
-        turns = round(_LAST_WORD_S / _POLL_S)  # not a deadline: turns are longer where the machine is loaded
-        while self._farewells.is_open(begin_s) and (turns := turns - 1):
+        clock = AwakeClock(2.0 * _POLL_S)
+        while self._farewells.is_open(begin_s) and clock.now_s() < _CLOSE_S:
             time.sleep(_POLL_S)
             self._farewells.judge(time.monotonic())
         self._farewells.conclude(begin_s)

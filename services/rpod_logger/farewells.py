@@ -12,8 +12,10 @@ is bounded.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from threading import Lock
+from typing import NamedTuple
 
 from rpod_runtime import Received
+from rpod_runtime.awake import AwakeTime
 from rpod_runtime.link import Link, Outage, utc
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import MessageRejectedError
@@ -22,13 +24,14 @@ from rpod_schemas.topics import DIAGNOSTICS, Topic
 from rpod_schemas.types import CLOSING, PUBLISHED
 
 GRACE_S = 1.0
-"""Time after which a message that has not arrived does not come any more: publishers stay open for 0.3 s
-after their last message and tell its number each 0.2 s, so that it is asked for again."""
-STOOD_STILL_S = 1.0
-"""Time between two judgements, of which there are four a second, from which on this process stood still:
-messages that came in that time are not handled yet, so the grace begins anew."""
+"""Time, s, after which a message that has not arrived does not come any more; only the time counts in which
+this process was awake. Publishers stay open for 0.3 s after their last message and tell its number each
+0.2 s, so that it is asked for again."""
 RETURN_S = 10.0
-"""Time after an outage in which publishers come back: Zenoh tries at least each 4 s."""
+"""Time after an outage in which publishers come back, s: Zenoh tries at least each 4 s."""
+_JUDGEMENT_S = 0.5
+"""Longest time between two judgements, of which there are four a second, unless this process stands still, s.
+Messages that came while it did are not handled yet, so that they have at least half the grace left."""
 _OUTAGE_S = 1.0
 """Largest time between the end of a token and that of the link by which both ended."""
 _MOST_SESSIONS, _MOST_TOPICS, _MOST_GIDS, _MOST_NOTES = 1000, 1000, 64, 100
@@ -47,6 +50,15 @@ class Endings:
     """Times without a link while the file was open."""
 
 
+class _Gone(NamedTuple):
+    """When a publisher's liveliness token vanished."""
+
+    awake_s: float
+    """Time in which this process was awake until then, s."""
+    stamp_ns: int
+    """The same moment, ns of UTC."""
+
+
 @dataclass
 class _Session:
     """One process on the bus."""
@@ -58,21 +70,21 @@ class _Session:
     """Numbers of published messages in the first diagnostics, by topic."""
     said: dict[str, int] = field(default_factory=dict)
     """The newest numbers of published messages, by topic."""
-    word_s: float = 0.0
+    reported_s: float = 0.0
     """Time of the newest numbers."""
     closing: bool = False
     arrived: dict[str, dict[bytes, int]] = field(default_factory=dict)
     """Last number that arrived, by topic and gid."""
     topics: set[str] = field(default_factory=set)
     """Topics that it has, or had, a publisher of, and that are recorded."""
-    left: dict[str, tuple[float, int]] = field(default_factory=dict)
-    """Topics whose publisher is gone: time and stamp."""
+    left: dict[str, _Gone] = field(default_factory=dict)
+    """When the publisher of a topic was gone."""
     told: dict[str, int] = field(default_factory=dict)
     """Number of messages by topic that an earlier file says are missing."""
 
     @property
-    def gone(self) -> tuple[float, int] | None:
-        """Time and stamp at which the service was gone; None if it is there."""
+    def gone(self) -> _Gone | None:
+        """When the service was gone; None if it is there."""
         return self.left.get(DIAGNOSTICS.name) if self.instance else None
 
     @property
@@ -103,8 +115,7 @@ class Farewells:
         self._lock = Lock()
         self._sessions: dict[str, _Session] = {}
         self._forgotten = 0
-        self._judged_s = self._awake_s = float("-inf")
-        """Times of the last judgement, and of the last one after which this process had stood still."""
+        self._awake = AwakeTime(_JUDGEMENT_S)
         self._reasons: list[str] = []
         self._unconfirmed: list[str] = []
 
@@ -121,7 +132,7 @@ class Farewells:
             if gid in by_gid or len(by_gid) < _MOST_GIDS:
                 by_gid[gid] = received.attachment.sequence
             if name == DIAGNOSTICS.name:
-                self._take_word(session, received)
+                self._take_numbers(session, received)
 
     def came(self, name: str, topic: Topic) -> None:
         """Note the liveliness token of a publisher, by the Zenoh identity of its session."""
@@ -138,7 +149,7 @@ class Farewells:
         with self._lock:
             session = self._sessions.get(name)
             if session is not None and topic.name in session.topics:
-                session.left[topic.name] = now_s, now_ns
+                session.left[topic.name] = _Gone(self._awake.at(now_s), now_ns)
 
     def confirm(self, statuses: Iterable[StatusReply], *, now_s: float) -> None:
         """Note the answers of services; each holds its numbers as its diagnostics do."""
@@ -157,7 +168,7 @@ class Farewells:
             self._forgotten += bool(oldest.instance or oldest.topics)
         return self._sessions.setdefault(name, _Session())
 
-    def _take_word(self, session: _Session, received: Received) -> None:
+    def _take_numbers(self, session: _Session, received: Received) -> None:
         try:
             diagnostics = read_diagnostics(received.decode())
         except MessageRejectedError:
@@ -175,16 +186,14 @@ class Farewells:
         }
         session.said = {name: numbers[name] for name in sorted(numbers)[:_MOST_TOPICS]}
         session.first = session.first or dict(session.said)
-        session.word_s = now_s
+        session.reported_s = now_s
 
     # --- what follows from it ---
 
     def judge(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
         with self._lock:
-            if now_s - self._judged_s > STOOD_STILL_S:
-                self._awake_s = now_s
-            self._judged_s = now_s
+            self._awake.at(now_s)  # in each turn, so that a pause of this process counts as a short time
             for name, session in list(self._sessions.items()):
                 if session.instance:
                     self._judge_service(name, session, now_s)
@@ -198,7 +207,7 @@ class Farewells:
         if session.closing and not session.shortfalls():
             del self._sessions[name]
         elif self._is_final(session.gone, now_s):
-            self._reasons.append(_end_of(name, session, session.gone[1]))
+            self._reasons.append(_incomplete_at_end(name, session, session.gone.stamp_ns))
             del self._sessions[name]
 
     def _judge_others(self, name: str, session: _Session, now_s: float) -> None:
@@ -206,19 +215,19 @@ class Farewells:
             if self._is_final(gone, now_s):
                 last = max(session.arrived.get(topic, {}).values(), default=0)
                 self._unconfirmed.append(
-                    f"{topic}: a publisher of session {name} ended at {utc(gone[1])} and does not say its "
-                    f"last number; the last that arrived is {last}"
+                    f"{topic}: a publisher of session {name} ended at {utc(gone.stamp_ns)} and does not "
+                    f"say its last number; the last that arrived is {last}"
                 )
                 del session.left[topic]
                 session.topics.discard(topic)
                 if not session.topics:
                     del self._sessions[name]
 
-    def _is_final(self, gone: tuple[float, int], now_s: float) -> bool:
+    def _is_final(self, gone: _Gone, now_s: float) -> bool:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
-        if self._left_with_link(gone[1]):
+        if self._left_with_link(gone.stamp_ns):
             return not self._link.lost and now_s - self._link.regained_s > RETURN_S
-        return now_s - max(gone[0], self._awake_s) > GRACE_S
+        return self._awake.at(now_s) - gone.awake_s > GRACE_S
 
     def _left_with_link(self, gone_ns: int) -> bool:
         return any(abs(gone_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages())
@@ -227,7 +236,7 @@ class Farewells:
         """Return whether something may still arrive that decides about a publisher.
 
         Args:
-            since_s: time since which each service that is there should have sent a word.
+            since_s: time since which each service that is there should have reported its numbers.
         """
         if self._link.lost:
             return False
@@ -236,25 +245,27 @@ class Farewells:
 
     def _waits_for(self, session: _Session, since_s: float) -> bool:
         if session.gone is not None:
-            return not self._left_with_link(session.gone[1])  # else it is not waited for
-        silent = session.word_s < since_s and not session.closing
+            return not self._left_with_link(
+                session.gone.stamp_ns
+            )  # who was lost with the link may be away for long
+        silent = session.reported_s < since_s and not session.closing
         return session.is_there and (silent or bool(session.shortfalls()))
 
     def conclude(self, since_s: float) -> None:
         """Add the reasons that follow from services that are still there, when a file is closed.
 
         Args:
-            since_s: time since which each service that is there should have sent a word.
+            since_s: time since which each service that is there should have reported its numbers.
         """
         with self._lock:
             for name, session in list(self._sessions.items()):
-                if reason := _doubt(name, session, since_s):
+                if reason := _incomplete_at_close(name, session, since_s):
                     self._reasons.append(reason)
                     session.told = {topic: n - session.last(topic) for topic, n in session.said.items()}
                 if session.gone is not None:
                     del self._sessions[name]
 
-    def doubt(self, reason: str) -> None:
+    def add_reason(self, reason: str) -> None:
         """Add a reason why the file that is open is not complete."""
         with self._lock:
             self._reasons.append(reason)
@@ -277,19 +288,21 @@ def _who(name: str, session: _Session) -> str:
     return f"{session.instance} (session {name}, gid {session.gid.hex()})"
 
 
-def _doubt(name: str, session: _Session, since_s: float) -> str:
+def _incomplete_at_close(name: str, session: _Session, since_s: float) -> str:
     """Return why the last numbers of a service are not known when a file is closed; empty if they are."""
     if session.gone is not None:
-        return f"{_who(name, session)} was there until {utc(session.gone[1])} and has not come back since"
+        return (
+            f"{_who(name, session)} was there until {utc(session.gone.stamp_ns)} and has not come back since"
+        )
     if not session.is_there:
         return ""
-    if session.word_s < since_s and not session.closing:
+    if session.reported_s < since_s and not session.closing:
         return f"{_who(name, session)} did not answer at the close: its last numbers are not known"
     missing = session.shortfalls()
     return f"{_who(name, session)}, at the close: {'; '.join(missing)}" if missing else ""
 
 
-def _end_of(name: str, session: _Session, gone_ns: int) -> str:
+def _incomplete_at_end(name: str, session: _Session, gone_ns: int) -> str:
     """Return the sentence about a service that ended without its last messages."""
     text = f"{_who(name, session)} ended at {utc(gone_ns)}"
     if not session.closing:

@@ -25,8 +25,9 @@ from rpod_runtime.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_runtime.reloading import reloader
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.control import LogReply, ReloadReply, StatusReply
+from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.errors import Reason
+from rpod_schemas.reload import ReloadReply
 from rpod_schemas.types import Health
 
 log = logging.getLogger(__name__)

@@ -1,4 +1,4 @@
-"""From configuration to methods: how the target is acquired and tracked by each sensor, from the registry."""
+"""Returns the methods by which each sensor acquires and tracks the target, by configuration and registry."""
 
 from collections.abc import Callable
 from dataclasses import replace

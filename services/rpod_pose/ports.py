@@ -7,7 +7,7 @@ in its sensor's axes and the target's model; it knows neither bus, clock nor tru
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -88,7 +88,7 @@ class OtherSize:
     log_odds: float
     """Log likelihood of the frame with this size, less that with the model's own size."""
     step: FloatArray
-    """From the registration's pose to the one with this size, (dtau, dtheta), target axes, shape (6,)."""
+    """Step (dtau, dtheta) from the registration's pose to the one with this size, target axes, shape (6,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class PartSolution:
     name: str
     """What it is measured by."""
     offset_m: FloatArray
-    """From the registration's position to it, sensor axes, shape (3,)."""
+    """Vector from the registration's position to it, sensor axes, shape (3,), m."""
     sigma_m: float
     """Standard deviation of that part's own error along the offset, which lasts."""
 
@@ -252,6 +252,19 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
     def track(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration, with a reason if there is no pose; never raises on data. Deterministic."""
+        ...
+
+
+@runtime_checkable
+class WholeFrameTracker(Protocol):
+    """A tracker that verifies the poses of a search, which has a part of a frame, in the whole frame."""
+
+    def excluded(self, measurement: Any, T_sensor_target: RigidTransform) -> str:
+        """Return why no pose near one that a search found can be the target's; empty if one may be."""
+        ...
+
+    def again(self, measurement: Any, found: Registration) -> Registration:
+        """Return a registration of the same frame from its own pose."""
         ...
 
 

@@ -27,8 +27,6 @@ missed.
 CONFIRMED = 3
 """Number of messages with rising numbers that confirm a jump, without a message of the old sequence
 between."""
-
-
 MOST_KEYS = 1000
 """Largest number of keys that are counted; messages of more keys are refused."""
 MOST_PUBLICATIONS = 4096
@@ -41,7 +39,7 @@ class TooManyKeysError(MessageRejectedError):
     def __init__(self, key: str) -> None:
         super().__init__(
             Reason.TOO_MANY,
-            f"{key}: messages of {MOST_KEYS} keys at most are received; who publishes so many?",
+            f"{key}: messages of {MOST_KEYS} keys at most are received; stop who publishes so many",
         )
 
 

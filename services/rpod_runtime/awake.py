@@ -5,13 +5,34 @@ not handled yet. By the monotonic clock it would conclude that the others had be
 this clock it first gives them the rest of their time.
 """
 
-import subprocess
 import time
 from collections.abc import Callable
 from threading import Event, Lock, Thread
 from typing import Self
 
-_TURN_S = 0.25
+
+class AwakeTime:
+    """Counts the seconds between readings of a clock; between two readings ``longest_s`` at most.
+
+    Args:
+        longest_s: longest time between two readings of a process that does not stand still, s.
+    """
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self._last_s: float | None = None
+        self._awake_s = 0.0
+
+    def at(self, now_s: float) -> float:
+        """Return the time since the first reading in which this process was awake, s.
+
+        Args:
+            now_s: the present reading of the clock, s.
+        """
+        passed_s = 0.0 if self._last_s is None else now_s - self._last_s
+        self._awake_s += min(max(passed_s, 0.0), self._longest_s)
+        self._last_s = now_s
+        return self._awake_s
 
 
 class AwakeClock:
@@ -23,15 +44,12 @@ class AwakeClock:
     """
 
     def __init__(self, longest_s: float = 1.0, *, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._longest_s, self._clock_s = longest_s, now_s
-        self._last_s, self._awake_s = now_s(), 0.0
+        self._clock_s, self._awake = now_s, AwakeTime(longest_s)
+        self._awake.at(now_s())
 
     def now_s(self) -> float:
         """Return the time in which this process was awake since the clock was made, s."""
-        now_s = self._clock_s()
-        self._awake_s += min(max(now_s - self._last_s, 0.0), self._longest_s)
-        self._last_s = now_s
-        return self._awake_s
+        return self._awake.at(self._clock_s())
 
 
 class TickingClock(AwakeClock):
@@ -58,17 +76,3 @@ class TickingClock(AwakeClock):
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
-
-
-def await_end(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
-    """Wait for the end of a process; return its exit code.
-
-    None is returned after ``limit_s``, s, in which this process was awake.
-    """
-    clock = AwakeClock(2.0 * _TURN_S)
-    while (left_s := limit_s - clock.now_s()) > 0.0:
-        try:
-            return process.wait(min(left_s, _TURN_S))
-        except subprocess.TimeoutExpired:
-            continue
-    return None

@@ -38,6 +38,6 @@ class FaultBook:
             self._faults[fault.identity] = fault
             while len(self._faults) > _MOST_FAULTS:
                 del self._faults[next(iter(self._faults))]
-            log.info("fault %s%s", fault.fault, f" of {fault.where}" * bool(fault.where))
+            log.info("fault %s%s", fault.fault, f" of {fault.where}" if fault.where else "")
             self._publisher = self._publisher or self._node.publisher(FAULTS)
             self._publisher.publish(write_faults(fault.begin_ns, self._faults.values()))

@@ -37,9 +37,10 @@ from rpod_runtime.ros.parameters import Parameters, flatten
 from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.control import Accepted, Empty, ReloadReply, StatusReply
+from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
+from rpod_schemas.reload import ReloadReply
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
 from rpod_schemas.types import CLOSING, PUBLISHED, Health
 from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token

@@ -14,11 +14,11 @@ from pydantic import BaseModel
 
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.base import live_fields
-from rpod_schemas.control import ReloadReply
+from rpod_schemas.reload import ReloadReply
 
 log = logging.getLogger(__name__)
 
-Told = Callable[[BaseModel, ReloadReply], None]
+OnChange = Callable[[BaseModel, ReloadReply], None]
 """Gets the configuration that is in force now, and what has changed."""
 
 
@@ -29,19 +29,19 @@ class Reloader:
         self._lock = Lock()
         self._config: BaseModel | None = None
         self._read: Callable[[], BaseModel] | None = None
-        self._told: list[Told] = []
+        self._listeners: list[OnChange] = []
 
     def begin(self, config: BaseModel, read: Callable[[], BaseModel] | None) -> None:
         """Take the configuration with which the process starts; ``read`` reads and checks it again."""
-        self._config, self._read, self._told = config, read, []
+        self._config, self._read, self._listeners = config, read, []
 
     def is_of(self, config: BaseModel) -> bool:
         """Return whether a configuration is the one of this process, which can be read again."""
         return self._config is config and self._read is not None
 
-    def on_change(self, tell: Told) -> None:
+    def on_change(self, tell: OnChange) -> None:
         """Call ``tell`` after each reading; it puts into force what has changed."""
-        self._told.append(tell)
+        self._listeners.append(tell)
 
     def reload(self) -> ReloadReply:
         """Read the configuration again.
@@ -57,15 +57,15 @@ class Reloader:
             live = live_fields(type(old))
             changed = {name: getattr(new, name) for name in live if getattr(new, name) != getattr(old, name)}
             self._config = old.model_copy(update=changed)
-            left = sorted(_differences(_plain(self._config), _plain(new)))
             document = _plain(self._config)
             reply = ReloadReply(
-                changed={name: document[name] for name in sorted(changed)}, needs_restart=tuple(left)
+                changed={name: document[name] for name in sorted(changed)},
+                needs_restart=tuple(sorted(_differences(document, _plain(new)))),
             )
             if "log_level" in changed:
                 logging.getLogger().setLevel(str(document["log_level"]).upper())
             log.warning("the configuration was read again: %s", describe(reply))
-            for tell in self._told:
+            for tell in self._listeners:
                 tell(self._config, reply)
             return reply
 

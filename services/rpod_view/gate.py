@@ -7,7 +7,6 @@ process argument. The connection is not encrypted: an SSH tunnel is better where
 """
 
 import hmac
-import http.client
 import logging
 import os
 import secrets
@@ -15,11 +14,13 @@ import socket
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.client import HTTPConnection, HTTPException, HTTPResponse
 from pathlib import Path
 from threading import BoundedSemaphore, Thread
 from typing import Any
 from urllib.parse import quote
 
+from werkzeug.exceptions import HTTPException as Refusal
 from werkzeug.serving import ThreadedWSGIServer, WSGIRequestHandler
 from werkzeug.wrappers import Request, Response
 
@@ -28,7 +29,11 @@ from rpod_view.errors import GateError
 
 log = logging.getLogger(__name__)
 
-_COOKIE, _TOKEN_BYTES, _SHORTEST = "rpod_view", 24, 16
+_COOKIE = "rpod_view"
+_TOKEN_BYTES = 24
+"""Random bytes of a token that is made here."""
+_LEAST_CHARACTERS = 16
+"""Least length of a token that a user has written."""
 _MOST_CONNECTIONS = 64
 """Largest number of connections at a time; a browser opens six."""
 _SILENT_S = 60.0
@@ -36,8 +41,9 @@ _SILENT_S = 60.0
 _MOST_BYTES = 1 << 16
 """Largest request: a browser sends a question of some bytes, and never data."""
 _CHUNK_BYTES = 1 << 16
+"""Most bytes that are passed on at once."""
 _DATA, _WRITING = "/rerun.", "/Write"
-"""Parts of the paths of Rerun's data: of all, and of what changes them."""
+"""Beginning of the path of each request for Rerun's data, and the part that only those have that write."""
 _OWN_LINK = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 """Headers that belong to one link and are not passed on."""
 _LOGIN = """<!doctype html><title>rpod view</title>
@@ -70,9 +76,11 @@ def _existing(file: Path) -> str:
         raise GateError(file, f"cannot be read ({error})", "remove it, and a new one is made") from error
     if mode & 0o077:
         raise GateError(file, f"can be read by others (mode {mode:o})", f"'chmod 600 {file}'")
-    if len(token) < _SHORTEST:
+    if len(token) < _LEAST_CHARACTERS:
         raise GateError(
-            file, f"holds {len(token)} characters, {_SHORTEST} are needed", "remove it, and a new one is made"
+            file,
+            f"holds {len(token)} characters, {_LEAST_CHARACTERS} are needed",
+            "remove it, and a new one is made",
         )
     return token
 
@@ -87,14 +95,18 @@ class Gate:
     """
 
     def __init__(self, token: str, *, page_port: int, data_port: int) -> None:
-        self._token, self._ports = token, {True: data_port, False: page_port}
+        self._token, self._page_port, self._data_port = token, page_port, data_port
         self._session = secrets.token_urlsafe(32)
 
     def __call__(self, environ: Any, start_response: Any) -> Any:
-        """Answer one request."""
+        """Answer one request; one that cannot be read is refused with its status."""
         request = Request(environ)
         request.max_content_length = request.max_form_memory_size = _MOST_BYTES
-        return self._answer(request)(environ, start_response)
+        try:
+            answer = self._answer(request)
+        except Refusal as refusal:
+            return refusal(environ, start_response)
+        return answer(environ, start_response)
 
     def _answer(self, request: Request) -> Response:
         if request.path == "/login" and request.method == "POST":
@@ -117,16 +129,16 @@ class Gate:
         return answer
 
     def _pass_on(self, request: Request) -> Response:
-        port = self._ports[request.path.startswith(_DATA)]
+        port = self._data_port if request.path.startswith(_DATA) else self._page_port
         headers = {name: text for name, text in request.headers if name.lower() not in {*_OWN_LINK, "cookie"}}
         target = quote(request.path, safe="/.") + ("?" + request.query_string.decode("latin-1")).rstrip("?")
-        link = http.client.HTTPConnection("127.0.0.1", port)
+        link = HTTPConnection("127.0.0.1", port)
         try:
             link.request(request.method, target, body=request.get_data(), headers=headers)
             found = link.getresponse()
-        except OSError:
+        except (OSError, HTTPException):
             link.close()
-            return Response("the viewer is not there yet; try again\n", 502)
+            return Response("the viewer does not answer; try again\n", 502)
         kept = [(name, text) for name, text in found.getheaders() if name.lower() not in _OWN_LINK]
         answer = Response(_stream(found), found.status, headers=kept)
         answer.call_on_close(found.close)
@@ -134,7 +146,7 @@ class Gate:
         return answer
 
 
-def _stream(found: http.client.HTTPResponse) -> Iterator[bytes]:
+def _stream(found: HTTPResponse) -> Iterator[bytes]:
     """Yield what comes as soon as it comes: the data of a live view have no end."""
     while data := found.read1(_CHUNK_BYTES):
         yield data
@@ -151,17 +163,25 @@ def _to_page(request: Request) -> Response:
 
 
 class _Server(ThreadedWSGIServer):
-    """Serves each connection in a thread, of which there is a largest number."""
+    """Serves each connection in a thread of its own, up to ``_MOST_CONNECTIONS`` at a time."""
 
     daemon_threads = True
-    _free = BoundedSemaphore(_MOST_CONNECTIONS)
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._free = BoundedSemaphore(_MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection, or close it if there are too many."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
-        super().process_request(request, client_address)
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError as error:  # the machine has no room for one more thread
+            self._free.release()
+            self.shutdown_request(request)
+            log.error("a connection of %s is closed: %s", client_address[0], error)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection to its end."""

@@ -106,7 +106,7 @@ class Plots:
         for each in told:
             self._recording.set_time(TIMELINE, timestamp=np.datetime64(each.stamp_ns, "ns"))
             if self._change("integrity", each.state.name):
-                text = f"integrity {each.state.name}" + f": {each.reason}" * bool(each.reason)
+                text = f"integrity {each.state.name}" + (f": {each.reason}" if each.reason else "")
                 self._event(text, _INTEGRITY_LEVELS[each.state])
 
     def _note(self, status: EstimatorStatus) -> None:

@@ -90,12 +90,17 @@ def _gate(asked: ViewConfig, token_file: Path, here: ViewConfig) -> Iterator[str
     """Open the gate to a viewer that listens here alone; yields what the operator is told."""
     from rpod_view.gate import open_gate  # noqa: PLC0415 - few views are open to others
 
-    try:
-        with open_gate(asked, token_file, page_port=here.web_port, data_port=here.port) as address:
-            yield f"{address}, for who has the token in {token_file}"
-    except OSError as error:
-        how = f"cannot listen on {asked.bind}:{asked.web_port} ({error.strerror})"
-        raise ViewerFailedError(how) from error
+    with ExitStack() as stack:
+        try:
+            gate = open_gate(asked, token_file, page_port=here.web_port, data_port=here.port)
+            address = stack.enter_context(gate)
+        except OSError as error:
+            raise _cannot_listen(str(asked.bind), asked.web_port, error) from error
+        yield f"{address}, for who has the token in {token_file}"
+
+
+def _cannot_listen(host: str, port: int, error: OSError) -> ViewerFailedError:
+    return ViewerFailedError(f"cannot listen on {host}:{port} ({error.strerror})")
 
 
 def _save(recording: rr.RecordingStream, path: Path) -> None:
@@ -124,9 +129,7 @@ def _with_ports(config: ViewConfig) -> ViewConfig:
             try:
                 probe.bind(address)
             except OSError as error:
-                raise ViewerFailedError(
-                    f"cannot listen on {address[0]}:{address[1]} ({error.strerror})"
-                ) from error
+                raise _cannot_listen(*address, error) from error
             ports[name] = probe.getsockname()[1]
     return config.model_copy(update=ports)
 

@@ -18,10 +18,11 @@ from rpod_runtime.reloading import reloader
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.cdr import encode, type_hash
 from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.control import LogReply, LogRequest, ReloadReply, StatusReply
+from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.messages import read_diagnostics, write_clock
 from rpod_schemas.poses import make_pose
+from rpod_schemas.reload import ReloadReply
 from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE
 from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
 from rpod_schemas.wire import Attachment

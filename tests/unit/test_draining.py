@@ -15,12 +15,12 @@ PUBLISHED = {"published/truth/odometry": 100, "published/thinned/image_raw": 7}
 class Bus:
     """Stands for a node; the logger gives one answer after the other, and repeats the last one."""
 
-    def __init__(self, *heard: dict[str, int] | None) -> None:
-        self._heard = deque(heard)
+    def __init__(self, *heard: dict[str, int] | None, published: dict[str, int] | None = PUBLISHED) -> None:
+        self._heard, self._published = deque(heard), published
         self.asked = 0
 
     def ask(self, instance, _verb, _reply, **_):
-        counters = PUBLISHED
+        counters = self._published
         if instance == "logger":
             self.asked += 1
             counters = self._heard.popleft() if len(self._heard) > 1 else self._heard[0]
@@ -62,7 +62,14 @@ def test_the_messages_are_waited_for_also_while_the_logger_does_not_answer(last)
 @pytest.mark.parametrize("heard", [received(40), None], ids=["without progress", "without answer"])
 def test_the_wait_ends_and_is_told_where_nothing_comes(heard, caplog):
     assert not await_logged(Bus(heard), "motion", "logger", check=lambda: None)
-    assert "of motion the logger has not received" in caplog.text
+    assert "motion is stopped, but the logger lacks" in caplog.text
+
+
+def test_a_service_that_does_not_say_what_it_has_published_is_told(caplog):
+    bus = Bus(received(100), published=None)
+    assert not await_logged(bus, "motion", "logger", check=lambda: None)
+    assert "motion does not say what it has published" in caplog.text
+    assert not bus.asked
 
 
 def test_nobody_waits_for_a_logger_that_has_died():

@@ -84,3 +84,8 @@ def test_one_process_holds_a_facility_and_its_end_sets_it_free(tmp_path):
         with pytest.raises(AlreadyUpError, match=f"process {pid} holds"), held(tmp_path):
             pass
     assert not read_status(tmp_path, "hall").up
+
+
+def test_a_facility_that_a_process_holds_which_is_not_known_is_told_as_such(tmp_path):
+    assert "another process holds" in str(AlreadyUpError(tmp_path, None))
+    assert "process 7 holds" in str(AlreadyUpError(tmp_path, 7))

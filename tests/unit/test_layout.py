@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -31,3 +32,18 @@ def test_kernels_are_compiled_in_one_way():
 @pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_no_module_is_a_drawer_for_odds_and_ends(file):
     assert file.stem not in ("utils", "helpers", "common", "misc", "util", "helper")
+
+
+FILE_TABLES = [
+    file for file in ROOT.glob("services/*/README.md") if "| file | holds |" in file.read_text("utf-8")
+]
+
+
+@pytest.mark.parametrize("readme", FILE_TABLES, ids=lambda file: file.parent.name)
+def test_the_table_of_files_in_a_readme_names_each_module_of_its_package_and_no_other(readme):
+    table = readme.read_text("utf-8").split("| file | holds |", 1)[1].split("\n\n", 1)[0]
+    firsts = [row.strip("| ").split(" | ", 1)[0] for row in table.splitlines()]
+    named = {name for first in firsts for name in re.findall(r"`(\w+\.py)`", first)}
+    told_elsewhere = {"__init__.py", "__main__.py", "errors.py"}
+    modules = {file.name for file in readme.parent.glob("*.py")}
+    assert named - told_elsewhere == modules - told_elsewhere

@@ -146,6 +146,20 @@ def _is_tuning(model: type[BaseModel], document: Any, location: Sequence[int | s
     return True
 
 
+def write(document: BaseModel, path: Path) -> Path:
+    """Write a model as JSON or YAML, by the suffix of the path, so that ``load`` reads it; return the path.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    if path.suffix == ".json":
+        text = document.model_dump_json(indent=2) + "\n"
+    else:
+        text = yaml.safe_dump(document.model_dump(mode="json"), sort_keys=False)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def load(model: type[Model], path: Path) -> Model:
     """Read and validate a configuration file. Raises ``ConfigurationError``."""
     return check(model, read_document(path), source=path)

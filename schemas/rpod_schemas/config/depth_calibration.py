@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-import yaml
 from pydantic import BeforeValidator, Field, model_validator
 from scipy import constants
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.base import Config, NonNegative, Positive, load
+from rpod_schemas.config.base import Config, NonNegative, Positive, load, write
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 _STEEPEST = 0.5
@@ -100,12 +99,7 @@ class DepthCalibration(Config):
 
     def write(self, path: Path) -> Path:
         """Write the file for ``PmdInput.calibration``, as JSON or YAML by its suffix, and return its path."""
-        if path.suffix == ".json":
-            text = self.model_dump_json(indent=2) + "\n"
-        else:
-            text = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
-        path.write_text(text, encoding="utf-8")
-        return path
+        return write(self, path)
 
     @model_validator(mode="after")
     def _distances_stay_in_order(self) -> Self:

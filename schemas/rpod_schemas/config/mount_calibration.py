@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import BeforeValidator, Field
 
 from rpod_schemas.arrays import Matrix6
-from rpod_schemas.config.base import Config, NonNegative, load
+from rpod_schemas.config.base import Config, NonNegative, load, write
 from rpod_schemas.poses import Pose, make_pose
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -51,12 +50,7 @@ class MountCalibration(Config):
 
     def write(self, path: Path) -> Path:
         """Write the file as JSON or YAML, by its suffix, and return its path."""
-        if path.suffix == ".json":
-            text = self.model_dump_json(indent=2) + "\n"
-        else:
-            text = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
-        path.write_text(text, encoding="utf-8")
-        return path
+        return write(self, path)
 
 
 def _read(value: Any) -> Any:

@@ -1,5 +1,7 @@
 """The static background of each sensor of a log whose frames do not show the target."""
 
+from itertools import chain
+
 import numpy as np
 
 from rpod_analysis.errors import CalibrationError
@@ -10,8 +12,8 @@ from rpod_pose.surroundings.known import Background
 from rpod_schemas.types import Float32Array, LidarScan, PmdFrame, SensorFrame
 
 
-def learned_backgrounds(log: Log) -> dict[str, tuple[Background, int]]:
-    """Return the background of each camera and LIDAR by name, and its number of frames.
+def learned_backgrounds(log: Log) -> dict[str, Background]:
+    """Return the background of each camera and LIDAR of a log, by name.
 
     Raises:
         CalibrationError: the log has no frame of either.
@@ -19,13 +21,14 @@ def learned_backgrounds(log: Log) -> dict[str, tuple[Background, int]]:
     """
     found = {}
     for name, sensor in find_sensors(log).items():
-        ranges_m = [
+        ranges_m = (
             range_m
             for frame in sensor_frames(log, name, sensor.kind)
             if (range_m := _ranges_m(frame)) is not None
-        ]
-        if ranges_m:
-            found[name] = Background.learned(ranges_m), len(ranges_m)
+        )
+        first_m = next(ranges_m, None)
+        if first_m is not None:
+            found[name] = Background.learned(chain([first_m], ranges_m))
     if not found:
         raise CalibrationError(f"{log.paths[0].name}: no frames of a PMD camera or an organised LIDAR")
     return found

@@ -37,5 +37,5 @@ def _readings(log: Log, bodies: KnownBodies) -> Iterator[tuple[str, Odometry]]:
     for logged in log.messages(*frames):
         try:
             yield frames[logged.topic], checked(read_odometry(logged.decode()))
-        except MessageRejectedError:
+        except MessageRejectedError:  # the live estimator did not use it either
             continue

@@ -37,5 +37,5 @@ def _readings(log: Log, config: DynamicsConfig) -> Iterator[ImuReading]:
     for logged in log.messages(IMU.name):
         try:
             yield checked(read_imu(logged.decode()), config)
-        except MessageRejectedError:
+        except MessageRejectedError:  # the live estimator did not use it either
             continue

@@ -107,8 +107,6 @@ TIME_S = {
 }
 """Time of a search in MATLAB on an i7 at 3.4 GHz, s, by step in deg."""
 
-RANGES_M = Printed("about 25 to 53", "4.3, Fig. 5")
-
 
 class EulerErrors(NamedTuple):
     """A column of Table 2, deg."""

@@ -18,8 +18,6 @@ RADII_PX = (10, 15, 20, 25, 30, 35, 40, 45, 50)
 """Radii of the neighbour search, px (Table 2)."""
 RADIUS_PX = 25
 """Radius of Figs. 10 to 12 and Tables 3 and 4, px."""
-EPNP_S = "about 1"
-"""CPU time of one amplitude image, s (section 4.2)."""
 SEVENTH = 7
 """Number of the image in Figs. 13 and 14, counted from one."""
 
@@ -74,6 +72,3 @@ NORMS = {
     (TUMBLING, EPNP): {4: Norms(4.72, 0.10), 7: Norms(4.35, 0.277), 9: Norms(2.7, 0.15)},
 }
 """Error norms by scenario and technique, then by image, counted from one (Tables 3 and 4)."""
-
-PEAKS = {OBLIQUE: (15, 17, 19), TUMBLING: (4, 7, 9)}
-"""Numbers of the images with spikes of the error in Fig. 10 (section 4.1)."""

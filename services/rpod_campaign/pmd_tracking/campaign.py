@@ -12,8 +12,6 @@ from rpod_campaign.pmd_tracking import trial
 from rpod_campaign.pmd_tracking.options import Options
 from rpod_campaign.pmd_tracking.report import sections
 
-APPROACH = "approach"
-
 
 def cells(options: Options) -> list[SequenceCell]:
     """Return the cells. Raises ConfigurationError, which names the option."""

@@ -162,10 +162,8 @@ def parts(seen: Observations) -> Verdict:
     needed = [name for name in absent if name not in kind.optional]
     if needed:
         return fail(line, f"{' and '.join(needed)} does not come at all", "missing_part")
-    found = [_unpaired(seen, name) for name in topics if counts[name] and name != seen.leading]
-    for name, (share, step_ns) in zip(
-        [n for n in topics if counts[n] and n != seen.leading], found, strict=True
-    ):
+    for name in (name for name in topics if counts[name] and name != seen.leading):
+        share, step_ns = _unpaired(seen, name)
         if share > _UNPAIRED_SHARE and step_ns and counts[name] >= 0.5 * counts[seen.leading]:
             when = "later" if step_ns > 0 else "earlier"
             text = f"{name} is stamped {abs(step_ns) * 1e-6:.3f} ms {when} than {seen.leading}"

@@ -19,13 +19,14 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.types import LidarInfo, PmdInfo
 
-_STEPS, _LEAST_POSES = 8, 3
+_LEAST_POSES = 3
+"""Least number of poses of the truth."""
 _GATES_M = (0.4, 0.4, 0.3, 0.2, 0.15, 0.1, 0.1, 0.1)
-"""Farthest surface point that counts as a point's own, m, in each step."""
+"""Farthest surface point that counts as a point's own, m, one for each step of the fit."""
 _PRIOR = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
-"""Prior standard deviations: s, m of range, m and rad of the mount; wider than any calibration error."""
-_ASTRAY = 3.0
-"""Length of a value over its prior standard deviation from which on the fit has found something else."""
+"""Prior standard deviations of ``Fitted.values``, wider than any calibration error."""
+_IMPLAUSIBLE = 3.0
+"""Magnitude of a value, in prior standard deviations, from which on the fit has not found the target."""
 _FACING = -0.4
 """Cosine between ray and normal from which on a surface faces the sensor."""
 _SIGMAS = 4.0
@@ -36,8 +37,8 @@ _MOUNT_M, _MOUNT_DEG = 0.02, 1.0
 an uncalibrated lens makes of the edge of an image."""
 _TRUTH_GAP_S = 0.05
 """Longest time between two poses of the truth between which it is interpolated."""
-OFF = _SIGMAS + 1.0
-"""Distance of a mount from the published one, over its standard deviation, from which on it is off."""
+MOST_DISTANCE = _SIGMAS + 1.0
+"""Greatest Mahalanobis distance between the fitted mount and the published one; beyond, the mount is off."""
 UNDETERMINED = (
     "the motion does not determine time, range and mount; let the target turn more, or watch longer"
 )
@@ -47,11 +48,13 @@ _MIRROR_SHARE = 0.6
 
 @dataclass(frozen=True)
 class Fitted:
-    """Result of a fit: dt s, range m, mount m and rad, shape (8,)."""
+    """Result of a fit."""
 
     values: FloatArray
+    """Shape (8,): the instant of the points less their stamp, s; the error that all ranges share, m; the step
+    from the published mount to the fitted one, sensor axes: translation, m, and rotation vector, rad."""
     covariance: FloatArray
-    """Shape (8, 8)."""
+    """Covariance of the values, shape (8, 8)."""
     residual_m: float
     """Median distance of all points from the surface, m."""
 
@@ -61,9 +64,9 @@ class Fitted:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def is_astray(self) -> bool:
+    def is_implausible(self) -> bool:
         """Whether values are larger than any error of a calibration: the motion does not determine them."""
-        return bool((np.abs(self.values) > _ASTRAY * _PRIOR).any())
+        return bool((np.abs(self.values) > _IMPLAUSIBLE * _PRIOR).any())
 
 
 def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
@@ -80,7 +83,7 @@ def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
     plain = fitted(sightings, surface, T_chaser_sensor)
     mirror = fitted([_mirrored(each) for each in sightings], surface, T_chaser_sensor)
     ratio = mirror.residual_m / max(plain.residual_m, 1e-6)
-    new = {each.line: each for each in (_undetermined() if plain.is_astray else _judged(seen, plain))}
+    new = {each.line: each for each in (_undetermined() if plain.is_implausible else _judged(seen, plain))}
     if ratio < _MIRROR_SHARE:
         text = f"mirrored points fit the target {1.0 / ratio:.1f} times better"
         new = {"grid": fail("grid", text, "mirrored", mirror_ratio=ratio)}
@@ -116,24 +119,34 @@ def fitted(sightings: list[Sighting], surface: Surface, mount: RigidTransform) -
     the points of a frame as one observation, because their errors are correlated.
     """
     values = np.zeros(8)
-    for gate_m in _GATES_M[:_STEPS]:
-        scores = [_equations(each, values, surface, mount, gate_m) for each in sightings]
-        normal = sum((J.T * w) @ J for J, _, w in scores) + np.diag(_PRIOR**-2.0) * _unit(scores)
-        gradient = sum((J.T * w) @ r for J, r, w in scores) + values / _PRIOR**2 * _unit(scores)
-        values = values - np.linalg.solve(normal, gradient)
-    scores = [_equations(each, values, surface, mount, _GATES_M[-1]) for each in sightings]
-    inverse = np.linalg.inv(sum((J.T * w) @ J for J, _, w in scores) + np.diag(_PRIOR**-2.0) * _unit(scores))
-    frames = [(J.T * w) @ r for J, r, w in scores]
-    scatter = sum((np.outer(each, each) for each in frames), np.zeros((8, 8)))
-    points = inverse * _unit(scores)
-    covariance = inverse @ scatter @ inverse + points
+    for gate_m in _GATES_M:
+        found = [_equations(each, values, surface, mount, gate_m) for each in sightings]
+        variance_m2 = _variance_m2(found)
+        gradient = sum((J.T * w) @ r for J, r, w in found) + values / _PRIOR**2 * variance_m2
+        values = values - np.linalg.solve(_normal(found, variance_m2), gradient)
+    found = [_equations(each, values, surface, mount, _GATES_M[-1]) for each in sightings]
+    variance_m2 = _variance_m2(found)
+    inverse = np.linalg.inv(_normal(found, variance_m2))
+    of_frames = [(J.T * w) @ r for J, r, w in found]
+    scatter = sum((np.outer(each, each) for each in of_frames), np.zeros((8, 8)))
+    covariance = inverse @ scatter @ inverse + inverse * variance_m2
     residuals = np.concatenate([_distances(each, values, surface, mount) for each in sightings])
     return Fitted(values, covariance, float(np.median(residuals)))
 
 
-def _unit(scores: list[tuple[FloatArray, FloatArray, FloatArray]]) -> float:
-    """Return the variance of a residual, m2: the weight of the prior."""
-    residuals = np.concatenate([r for _, r, _ in scores] or [np.zeros(1)])
+_Equations = tuple[FloatArray, FloatArray, FloatArray]
+"""Jacobian, shape (N, 8), residuals, m, and weights, shape (N,), of the points of a frame."""
+
+
+def _normal(found: list[_Equations], variance_m2: float) -> FloatArray:
+    """Return the matrix of the normal equations with the prior, shape (8, 8)."""
+    normal: FloatArray = sum((J.T * w) @ J for J, _, w in found) + np.diag(_PRIOR**-2.0) * variance_m2
+    return normal
+
+
+def _variance_m2(found: list[_Equations]) -> float:
+    """Return the variance of a residual, m2, which is the weight of the prior."""
+    residuals = np.concatenate([r for _, r, _ in found] or [np.zeros(1)])
     return max(float(1.4826 * np.median(np.abs(residuals))) ** 2, 1e-8) if residuals.size else 1.0
 
 
@@ -155,8 +168,8 @@ def _moved(
 
 def _equations(
     sighting: Sighting, values: FloatArray, surface: Surface, mount: RigidTransform, gate_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Jacobian, shape (N, 8), residuals and weights of the points with a surface point nearby."""
+) -> _Equations:
+    """Return the equations of the points with a surface point nearby."""
     in_target, velocity, T_target_sensor = _moved(sighting, values, mount)
     distances, nearest = surface.tree.query(in_target)
     normals = surface.normals[nearest]
@@ -228,9 +241,9 @@ def _range(range_m: float, along_m: float, sigmas: FloatArray) -> Verdict:
 
 def _mount(fit: Fitted) -> Verdict:
     text, figures, distance = mount_error(fit)
-    if distance > OFF:
+    if distance > MOST_DISTANCE:
         return fail("mount_truth", text, "mount_off", **figures)
-    if mount_is_hidden(fit):
+    if mount_is_undetermined(fit):
         return unchecked("mount_truth", f"{text}: the motion does not show more", **figures)
     return ok("mount_truth", text, **figures)
 
@@ -261,7 +274,7 @@ def mount_error(
     return text, {"aside_m": aside_m, "turned_deg": turned_deg}, distance
 
 
-def mount_is_hidden(fit: Fitted) -> bool:
+def mount_is_undetermined(fit: Fitted) -> bool:
     """Return whether the motion shows neither shift nor turn of the mount well enough to call it in order."""
     shift_m, turn_rad = np.linalg.norm(fit.sigmas[2:4]), np.linalg.norm(fit.sigmas[5:8])
     return bool(_SIGMAS * shift_m > 2.0 * _MOUNT_M and _SIGMAS * turn_rad > 2.0 * np.deg2rad(_MOUNT_DEG))

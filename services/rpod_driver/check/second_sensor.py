@@ -7,7 +7,14 @@ truth shows which of them is off.
 
 import numpy as np
 
-from rpod_driver.check.geometry import OFF, UNDETERMINED, Fitted, fitted, mount_error, mount_is_hidden
+from rpod_driver.check.geometry import (
+    MOST_DISTANCE,
+    UNDETERMINED,
+    Fitted,
+    fitted,
+    mount_error,
+    mount_is_undetermined,
+)
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.sightings import sightings_of
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
@@ -45,13 +52,13 @@ def mount_second(seen: Observations) -> Verdict:
 
 
 def _judged(fit: Fitted, poses: list[Odometry], others: str) -> Verdict:
-    if fit.is_astray:
+    if fit.is_implausible:
         return unchecked(_LINE, UNDETERMINED)
     text, figures, distance = mount_error(fit, *_sigmas(poses))
     text = f"{text}, against {others}"
-    if distance > OFF:
+    if distance > MOST_DISTANCE:
         return fail(_LINE, f"{text}: this mount, or that one; only truth shows which", "mount_off", **figures)
-    if mount_is_hidden(fit):
+    if mount_is_undetermined(fit):
         return unchecked(_LINE, f"{text}: the motion does not show more", **figures)
     return ok(_LINE, text, **figures)
 

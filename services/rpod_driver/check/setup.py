@@ -69,10 +69,11 @@ def grid(seen: Observations) -> Verdict:
     if raw.shape[:2] != size:
         text = f"scans have {raw.shape[0]} x {raw.shape[1]} points, the info {size[0]} x {size[1]}"
         return fail(line, text, "wrong_pattern", "partial")
-    return _against(raw, info)
+    return _pattern(raw, info)
 
 
-def _against(raw: NDArray[Any], info: LidarInfo) -> Verdict:
+def _pattern(raw: NDArray[Any], info: LidarInfo) -> Verdict:
+    """Judge the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
     for name, seen_rad, said_rad in (

@@ -14,7 +14,7 @@ class Level(StrEnum):
     OK = "ok"
     """Looked at, and in order."""
     NOTE = "note"
-    """In order, with something to know."""
+    """Looked at, and in order; the text says what to know."""
     FAIL = "fail"
     """Wrong."""
     UNCHECKED = "not checked"

@@ -18,6 +18,7 @@ from rpod_driver.errors import ForeignDriverError
 from rpod_driver.foreign import frame_pipe
 from rpod_driver.foreign.config import ForeignEnvironment
 from rpod_driver.stamps import StampMapper
+from rpod_runtime.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 
@@ -107,12 +108,7 @@ class ForeignDriver:
         process, self._process = self._process, None
         if process is None:
             return
-        cast(BinaryIO, process.stdin).close()
-        try:
-            process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        end_process(process, _END_S, ask=cast(BinaryIO, process.stdin).close)
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)  # a child of it would hold the pipe open
         reader, teller = self._threads

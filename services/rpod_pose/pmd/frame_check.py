@@ -143,9 +143,9 @@ class Shown(NamedTuple):
     """The target at a pose."""
 
     coarse: RenderingArrays
-    """On the coarse pixels."""
+    """Rendering on the coarse pixels."""
     fine: FineRanges
-    """With more rays, where they are known."""
+    """Ranges of more rays, where they are known."""
 
 
 class PixelCounts(NamedTuple):

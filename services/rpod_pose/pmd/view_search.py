@@ -40,11 +40,10 @@ from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.expected_edges import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
-from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker, WholeFrameTracker
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
-from rpod_pose.surroundings.methods import TrackerAmongThings
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
@@ -210,8 +209,10 @@ class ViewSearch:
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether a pose near this one may be the target's, by what the whole frame shows there."""
-        among = self._tracker
-        return not isinstance(among, TrackerAmongThings) or not among.excluded(frame, pose_of(pose.R, pose.t))
+        tracker = self._tracker
+        return not isinstance(tracker, WholeFrameTracker) or not tracker.excluded(
+            frame, pose_of(pose.R, pose.t)
+        )
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
         """Return a pose that the search found, refined and judged by the tracker."""
@@ -221,10 +222,9 @@ class ViewSearch:
 
     def _again(self, frame: PmdFrame, found: Registration, pose: RigidTransform) -> Registration:
         """Return a registration aligned again from its own pose."""
-        among = self._tracker
-        if isinstance(among, TrackerAmongThings):
-            return among.again(frame, found)
-        return among.track(frame, pose)
+        if isinstance(self._tracker, WholeFrameTracker):
+            return self._tracker.again(frame, found)
+        return self._tracker.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
         """Return a registration that is aligned again from its own pose, until the pose hardly moves.

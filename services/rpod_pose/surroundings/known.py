@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ RESOLUTION = 2e-3
 """Least standard deviation of a range, over the range: clocks and temperature drift."""
 MAD_TO_SIGMA = 1.4826
 MOST_FRAMES = 200
-"""Most frames from which a background is learned, taken evenly."""
+"""Most frames from which a background is learned, spread evenly over all."""
 
 
 class KnownSurroundingsError(PoseError):
@@ -45,10 +46,20 @@ class Background:
     """Median range of each pixel or ray, shape (rows, columns), 0 where there is none."""
     sigma_m: Float32Array
     """Standard deviation of a range, same shape."""
+    frames: int = 0
+    """Number of frames from which it was learned; 0 where that is not known."""
+
+    def __post_init__(self) -> None:
+        """Check that both arrays are of one image."""
+        if self.range_m.ndim != 2 or self.range_m.shape != self.sigma_m.shape:
+            raise KnownSurroundingsError(
+                f"range_m has the shape {self.range_m.shape}, sigma_m {self.sigma_m.shape}; both need the "
+                "(rows, columns) of the sensor's frames"
+            )
 
     @classmethod
     def learned(cls, ranges_m: Iterable[Float32Array]) -> Self:
-        """Return the background of frames without the target.
+        """Return the background of frames without the target, of which a limited number is kept at a time.
 
         Args:
             ranges_m: ranges of each frame, shape (rows, columns), 0 without one.
@@ -56,16 +67,14 @@ class Background:
         Raises:
             KnownSurroundingsError: there is no frame, or frames differ in size.
         """
-        frames = list(ranges_m)
-        if len({frame.shape for frame in frames}) != 1:
-            raise KnownSurroundingsError(f"{len(frames)} frames that agree in size, at least 1 needed")
-        every = np.stack(frames[:: -(-len(frames) // MOST_FRAMES)])
+        kept, frames = _spread(ranges_m)
+        every = np.stack(kept)
         every = np.where(every > 0.0, every, np.float32(np.nan))
         known = np.isfinite(every).mean(axis=0) >= LEAST_SEEN
         middle, spread = np.zeros(known.shape), np.zeros(known.shape)
         middle[known] = np.nanmedian(every[:, known], axis=0)
         spread[known] = MAD_TO_SIGMA * np.nanmedian(np.abs(every[:, known] - middle[known]), axis=0)
-        return cls(middle.astype(np.float32), spread.astype(np.float32))
+        return cls(middle.astype(np.float32), spread.astype(np.float32), frames)
 
     def write(self, path: Path) -> None:
         """Write the arrays to a file."""
@@ -76,19 +85,48 @@ class Background:
         """Return a background from a file.
 
         Raises:
-            KnownSurroundingsError: the file cannot be read.
+            KnownSurroundingsError: the file cannot be read, or holds something else.
         """
         try:
-            with np.load(path) as arrays:
+            with path.open("rb") as stream, np.load(stream) as arrays:
                 return cls(arrays["range_m"], arrays["sigma_m"])
-        except (OSError, ValueError, KeyError) as error:
-            raise KnownSurroundingsError(f"background {path} cannot be read: {error}") from error
+        except (OSError, ValueError, KeyError, TypeError, BadZipFile, KnownSurroundingsError) as error:
+            raise KnownSurroundingsError(
+                f"background {path} cannot be read: {error}; make it with 'rpod calibrate background'"
+            ) from error
 
     def agrees(self, range_m: Float32Array) -> NDArray[np.bool_]:
         """Return which ranges, 0 without one, are those of the background."""
         sigma_m = np.maximum(self.sigma_m, RESOLUTION * self.range_m)
         close: NDArray[np.bool_] = np.abs(range_m - self.range_m) < SIGMAS * sigma_m
         return close & (self.range_m > 0.0) & (range_m > 0.0)
+
+
+def _spread(ranges_m: Iterable[Float32Array]) -> tuple[list[Float32Array], int]:
+    """Return at most ``MOST_FRAMES`` frames, spread evenly over all, and the number of all.
+
+    Raises:
+        KnownSurroundingsError: there is no frame, or frames differ in size.
+    """
+    kept: list[Float32Array] = []
+    number, step = -1, 1
+    for number, range_m in enumerate(ranges_m):
+        if kept and range_m.shape != kept[0].shape:
+            sizes = " and ".join(_size(each) for each in (kept[0], range_m))
+            raise KnownSurroundingsError(
+                f"frames of {sizes} pixels: record all with one setting of the sensor"
+            )
+        if number % step == 0:
+            kept.append(range_m)
+        if len(kept) > MOST_FRAMES:
+            kept, step = kept[::2], 2 * step
+    if not kept:
+        raise KnownSurroundingsError("no frames: record the sensor without the target")
+    return kept, number + 1
+
+
+def _size(image: NDArray[Any]) -> str:
+    return " x ".join(map(str, image.shape[::-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +200,7 @@ class KnownParts:
 
 def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None:
     if known.shape != range_m.shape:
-        sizes = [" x ".join(map(str, shape[::-1])) for shape in (known.shape, range_m.shape)]
-        raise KnownSurroundingsError(f"the {name} has {sizes[0]} pixels, the frame {sizes[1]}")
+        raise KnownSurroundingsError(f"the {name} has {_size(known)} pixels, the frame {_size(range_m)}")
 
 
 def known_bodies(path: Path | None) -> KnownBodies | None:

@@ -11,12 +11,7 @@ from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
-from rpod_pose.surroundings.separation import (
-    Margin,
-    RangeImage,
-    Sight,
-    with_target_at,
-)
+from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
 from rpod_schemas.types import Float32Array, Source
 from rpod_target import Target
 
@@ -179,18 +174,36 @@ class TrackerAmongThings:
         """
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
-        found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
-        for share in margins:
-            corrected = image.corrected(found.range_bias_m)
-            sight = with_target_at(corrected, self.target, pose, self._margin(found, share))
-            found = self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
-            if found.T_sensor_target is None:
-                return found
-            pose = found.T_sensor_target
-            if share < MARGINS[0] and found.continues_track:
+        share, *narrower = margins
+        start = before or Registration.none(Source.NONE, "")
+        found, sight = self._tracked_within(share, measurement, image, start, T_sensor_target)
+        for margin in narrower:
+            if found.T_sensor_target is None or (share < MARGINS[0] and found.continues_track):
                 break
-        belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
-        return _judged(replace(found, belief=belief), sight, self._most_unexplained(image, pose))  # pyright: ignore[reportPossiblyUnboundVariable] - there are margins
+            share = margin
+            found, sight = self._tracked_within(share, measurement, image, found, found.T_sensor_target)
+        if found.T_sensor_target is None:
+            return found
+        belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})
+        most_unexplained = self._most_unexplained(image, found.T_sensor_target)
+        return _judged(replace(found, belief=belief), sight, most_unexplained)
+
+    def _tracked_within(
+        self, share: float, measurement: Any, image: RangeImage, found: Registration, pose: RigidTransform
+    ) -> tuple[Registration, Sight]:
+        """Return the registration from a pose in what it leaves of a frame, and what that is.
+
+        Args:
+            share: error of the pose, over the target's radius.
+            measurement: the whole frame.
+            image: its ranges of many rays.
+            found: registration of the same frame that gave the pose; one without a pose if none did.
+            pose: T_sensor_target from which is tracked.
+        """
+        corrected = image.corrected(found.range_bias_m)
+        sight = with_target_at(corrected, self.target, pose, self._margin(found, share))
+        separated = self.frames.separated(measurement, sight.labels, sight.inside)
+        return self._tracker.track(separated, pose), sight
 
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""
@@ -351,5 +364,6 @@ def _apart_m(found: Acquisition, other: Acquisition | None) -> float:
 
 
 def _contradicted(found: Acquisition, reason: str) -> Acquisition:
+    """Return an acquisition whose pose is contradicted, with the evidence that it had."""
     belief = contradicted(reason, **found.belief.evidence)
     return replace(found, registration=replace(found.registration, belief=belief))

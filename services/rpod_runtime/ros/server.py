@@ -21,9 +21,9 @@ from rpod_schemas.wire import Attachment, unpack_attachment
 log = logging.getLogger(__name__)
 
 Answer = Callable[[Any], Any]
-"""From the request's message to the response's; any exception becomes a refusal."""
+"""Turns the message of a request into that of its response; any exception becomes a refusal."""
 Refuse = Callable[[str], Any]
-"""From a reason to the response's message that says it."""
+"""Returns the message of a response that gives a reason."""
 
 
 class ServiceServer:

@@ -143,8 +143,8 @@ def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
 
 def test_values_that_no_calibration_can_have_are_not_judged():
     late_s = np.array([1.2, 0.0, 0.3, 0.0, 0.0, 0.1, 0.0, 0.0])  # of a loaded machine, 9 s of a steady turn
-    assert Fitted(late_s, np.eye(8), 0.01).is_astray
-    assert not Fitted(np.array([0.01, 0.1, 0.08, 0.0, 0.0, 0.05, 0.0, 0.0]), np.eye(8), 0.01).is_astray
+    assert Fitted(late_s, np.eye(8), 0.01).is_implausible
+    assert not Fitted(np.array([0.01, 0.1, 0.08, 0.0, 0.0, 0.05, 0.0, 0.0]), np.eye(8), 0.01).is_implausible
 
 
 def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():

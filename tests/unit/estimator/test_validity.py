@@ -52,6 +52,14 @@ def test_an_estimate_is_valid_for_a_fifth_of_a_second_after_its_last_measurement
     assert validity.deadline_s() == pytest.approx(last_s + 0.2)
 
 
+def test_a_track_without_an_accepted_measurement_is_told_as_such():
+    validity = Validity(0.2)
+    validity.take(result(5e4), now_s=5e4)
+    assert at(validity, 5e4 + 1.0).reason == "no measurement was accepted yet"
+    fed(validity, start_s=5e4, frames=1, reason="refused")
+    assert at(validity, 5e4 + 1.0).reason == "no measurement was accepted yet"
+
+
 def test_a_slow_sensor_has_one_and_a_half_of_its_periods():
     validity = Validity(0.2)
     last_s = fed(validity, period_s=1.0, frames=5)

@@ -3,7 +3,8 @@
 import subprocess
 import sys
 
-from rpod_runtime.awake import AwakeClock, await_end
+from rpod_runtime.awake import AwakeClock
+from rpod_runtime.processes import await_end, end_process
 
 
 def test_time_in_which_the_process_stood_still_counts_as_one_turn():
@@ -17,3 +18,10 @@ def test_a_process_that_ends_is_waited_for_and_one_that_does_not_is_told():
         assert await_end(process, 0.01) is None
         process.kill()
         assert await_end(process, 60.0) == -9
+
+
+def test_a_process_that_does_not_end_when_asked_is_killed():
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        assert end_process(process, 0.01, ask=lambda: None) == (-9, True)
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        assert end_process(process, 60.0) == (-15, False)

@@ -14,6 +14,7 @@ import pytest
 from rpod_schemas.config.base import check
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_view import gate, viewer
 from rpod_view.errors import GateError
 from rpod_view.gate import open_gate, read_token
 
@@ -25,6 +26,10 @@ class Server(BaseHTTPRequestHandler):
     name = ""
 
     def do_GET(self):
+        if self.path.endswith("/strange"):
+            self.wfile.write(b"no answer by HTTP\r\n\r\n")
+            self.close_connection = True
+            return
         text = f"{self.name} {self.path} {self.headers.get('Cookie')}".encode()
         self.send_response(200)
         self.send_header("Transfer-Encoding", "chunked")
@@ -131,6 +136,29 @@ def test_with_the_token_page_and_data_come_from_one_address(browser, token_file,
 def test_a_viewer_writes_nothing(browser, token_file):
     browser.log_in(token_file.read_text().strip())
     assert browser.ask(READ.replace("Read", "Write"), b"\0\0\0\0\0")[0] == 403
+
+
+def test_a_request_that_is_too_large_is_refused_by_name(browser, token_file):
+    assert browser.ask("/login", urlencode({"token": "x" * (1 << 17)}).encode())[0] == 413
+    browser.log_in(token_file.read_text().strip())
+    assert browser.ask(READ, b"x" * (1 << 17))[0] == 413
+
+
+def test_a_server_that_does_not_speak_http_is_told(browser, token_file):
+    browser.log_in(token_file.read_text().strip())
+    status, text, _ = browser.ask("/strange")
+    assert (status, text) == (502, "the viewer does not answer; try again\n")
+
+
+def test_an_error_behind_the_gate_is_not_taken_for_an_address_in_use(monkeypatch, token_file):
+    @contextmanager
+    def opened(*_, **__):
+        yield "http://192.0.2.7:9090/"
+
+    monkeypatch.setattr(gate, "open_gate", opened)
+    config = ViewConfig(bind="192.0.2.7", token_file=token_file)
+    with pytest.raises(OSError, match="disk"), viewer._gate(config, token_file, config):
+        raise OSError(28, "the disk is full")
 
 
 def test_the_token_is_made_once_and_read_by_its_owner_alone(token_file):

@@ -4,7 +4,12 @@ A target that is k times as large, seen at a range r, gives the same scan as the
 ranges, which are k times as long. So the model is registered with ranges, noise and place divided by k: no
 other model is needed. Ranges of facets alone hardly tell a size, since a shift along the line of sight
 explains most of it. The outline does, so that this uses the likelihood of all rays.
+
+Likelihoods of returns are densities of their ranges. Those of ranges divided by k are k times as large, so
+that each return's logarithm is reduced by log k before two sizes are compared.
 """
+
+from math import log
 
 import numpy as np
 
@@ -16,11 +21,12 @@ from rpod_pose.registration.lie_group import PoseArrays, step_between
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
-STEP = 0.03
+SHARE = 0.03
 """Share by which another size differs: models of satellites are right within 1 to 3 % of their size (as
 ``slack_share`` of the scan's model)."""
-DECLARED = 4.0
-"""The same, in standard deviations of the size that the target's file declares, if that is more."""
+SIGMAS = 4.0
+"""Standard deviations of the size, as the target's file declares it, by which another size differs if that is
+more."""
 
 
 def other_sizes(
@@ -32,32 +38,38 @@ def other_sizes(
     *,
     scale_tolerance: float,
 ) -> tuple[OtherSize, ...]:
-    """Return the registration with a smaller and with a larger target.
+    """Return the registrations with a smaller and with a larger target; without one that has no solution.
 
     Args:
         problem: all returns and the target.
         found: the registration with the model's own size.
-        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        range_m: measured range of each ray, 0 without a return, negative where something hides the target,
+            shape (rows, columns).
         assumed: statistics of returns.
         reach: what the outline can tell.
         scale_tolerance: standard deviation of the size, as a share, that the target's file declares.
     """
-    step = max(STEP, DECLARED * scale_tolerance)
-    likelihood = found.statistics.agreement.log_likelihood
+    most = max(SHARE, SIGMAS * scale_tolerance)
+    returns = int(np.count_nonzero(range_m > 0.0))
     sizes = []
-    for share in (-step, step):
+    for share in (-most, most):
         k = 1.0 + share
         start = PoseArrays(found.pose.R, found.pose.t / k)
         shorter_m = (range_m / k).astype(range_m.dtype)
-        scaled = settled(_problem(problem, k), start, shorter_m, _assumed(assumed, k), reach)
+        scaled = settled(_shorter(problem, k), start, shorter_m, _shorter_statistics(assumed, k), reach)
         R, t = scaled.pose
-        moved = step_between(pose_of(*found.pose), pose_of(R, k * t))
-        if np.isfinite(moved).all():
-            sizes.append(OtherSize(share, scaled.statistics.agreement.log_likelihood - likelihood, moved))
+        step = step_between(pose_of(*found.pose), pose_of(R, k * t))
+        if np.isfinite(step).all():
+            log_odds = _log_likelihood(scaled) - returns * log(k) - _log_likelihood(found)
+            sizes.append(OtherSize(share, log_odds, step))
     return tuple(sizes)
 
 
-def _problem(problem: FaceProblem, k: float) -> FaceProblem:
+def _log_likelihood(found: ScanRegistration) -> float:
+    return found.statistics.agreement.log_likelihood
+
+
+def _shorter(problem: FaceProblem, k: float) -> FaceProblem:
     """Return a problem whose lengths along the rays are divided by k."""
     errors = problem.errors._replace(
         sigma_m=problem.errors.sigma_m / k,
@@ -67,7 +79,7 @@ def _problem(problem: FaceProblem, k: float) -> FaceProblem:
     return problem._replace(points_m=problem.points_m / k, errors=errors, scales_m=problem.scales_m / k)
 
 
-def _assumed(assumed: Assumptions, k: float) -> Assumptions:
+def _shorter_statistics(assumed: Assumptions, k: float) -> Assumptions:
     """Return the statistics of returns whose ranges are divided by k."""
     return assumed._replace(
         sigma_m=assumed.sigma_m / k,

@@ -66,9 +66,13 @@ class Levels:
     """Protection levels, and the solutions from which they follow."""
 
     attitude_deg: float
+    """Level of the attitude; NaN if it is not known."""
     position_m: float
+    """Level of the position; NaN if it is not known."""
     attitude_by: str
+    """Name of the solution that determines the level of the attitude."""
     position_by: str
+    """Name of the solution that determines the level of the position."""
 
 
 def solution(name: str, estimate: FilterState, other: FilterState, probability: float) -> Solution:
@@ -126,19 +130,20 @@ def _greatest(
 ) -> tuple[float, str]:
     """Return the greatest level of the solutions, and the name of its solution.
 
-    Half of the risk is that of the solution with all measurements, the others share the rest.
+    Half of the risk is that of the solution with all measurements, the others share the rest. The level is
+    NaN if that of any solution is not known.
     """
     shares = (0.5 * risk, *[0.5 * risk / max(len(solutions) - 1, 1)] * (len(solutions) - 1))
-    return max(
-        (
-            float(np.linalg.norm(each.separation[part]))
-            + length_quantile(
-                (each.covariance + unseen)[part, part], min(share / _rounded(each.probability), 1.0)
-            ),
-            each.name,
-        )
-        for each, share in zip(solutions, shares, strict=True)
-    )
+    levels = [_level(each, part, unseen, share) for each, share in zip(solutions, shares, strict=True)]
+    first = int(np.argmax(levels))  # that of the first NaN if there is one
+    return levels[first], solutions[first].name
+
+
+def _level(solution: Solution, part: slice, unseen: FloatArray, risk: float) -> float:
+    """Return the level by one solution, which has its part of the risk; NaN if it is not known."""
+    probability = min(risk / _rounded(solution.probability), 1.0)
+    quantile = length_quantile((solution.covariance + unseen)[part, part], probability)
+    return float(np.linalg.norm(solution.separation[part])) + quantile
 
 
 def _rounded(probability: float) -> float:

@@ -6,6 +6,7 @@ from lidar_scans import BULKY, load, random_pose, scan_at, tracker
 
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.registration.lie_group import PoseArrays, moved
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_error
@@ -26,6 +27,21 @@ def test_the_right_model_is_likelier_than_a_target_of_another_size(scan):
     sizes = by_share(tracker().track(scan, T))
     assert set(sizes) == {-3, 3}
     assert all(size.log_odds < -20.0 for size in sizes.values())
+
+
+@pytest.mark.parametrize("percent", [-3, 3])
+def test_the_odds_of_another_size_are_those_of_a_model_of_this_size(scan, percent):
+    own, pattern = tracker(), ScanPattern.of(LidarConfig().info())
+    other = ProjectiveIcp(ProjectiveIcpConfig(), load(f"{BULKY}@scale={percent}%"), pattern)
+    other.model.assumed = own.model.assumed
+    seen, found = own.view.seen(scan), own.track(scan, T)
+    size = by_share(found)[percent]
+    fits = [
+        (own.model, found.T_sensor_target),
+        (other.model, moved(found.T_sensor_target, size.step)),
+    ]
+    logs = [model.fit(seen, *PoseArrays.of(pose)).log_likelihood for model, pose in fits]
+    assert size.log_odds == pytest.approx(logs[1] - logs[0], abs=0.5)
 
 
 def test_a_model_that_is_too_large_is_less_likely_than_a_smaller_target_whose_pose_is_nearer(scan):

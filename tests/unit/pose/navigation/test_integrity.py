@@ -217,6 +217,14 @@ def test_a_quantile_of_a_length_is_that_of_its_covariances_shape():
     assert np.isnan(length_quantile(np.full((3, 3), np.nan), 1e-6))
 
 
+def test_a_hypothesis_whose_covariance_is_not_known_leaves_no_level():
+    alone, still = Solution("", np.zeros(6), 1e-12 * np.eye(6)), np.zeros(3)
+    unknown = Solution("without lidar", np.zeros(6), np.full((6, 6), np.nan), 1e-4)
+    levels = protection_levels([alone, unknown], NOTHING_UNSEEN, TEN_M, still, still)
+    assert np.isnan([levels.attitude_deg, levels.position_m]).all()
+    assert levels.position_by == "without lidar"
+
+
 def test_a_mounts_turn_and_a_drift_of_the_ranges_act_across_each_other():
     alone, still = [Solution("", np.zeros(6), 1e-12 * np.eye(6))], np.zeros(3)
 

@@ -1,5 +1,6 @@
 """The target among walls and arms, and behind a plate: found, tracked, and refused where it is not."""
 
+import weakref
 from functools import cache
 
 import numpy as np
@@ -109,6 +110,50 @@ def test_what_is_outside_the_range_gate_or_masked_is_taken_out_of_the_frame():
     assert not np.isfinite(kept[:100]).any()
     assert np.nanmax(kept) <= 5.5
     assert np.isfinite(kept).any()
+
+
+def test_a_background_is_learned_from_frames_spread_over_all_while_few_are_kept():
+    alive, most = [], 0
+
+    def ranges_m():
+        nonlocal most
+        for number in range(2000):
+            range_m = np.full((2, 3), 1.0 + number, np.float32)
+            alive[:] = [each for each in alive if each() is not None] + [weakref.ref(range_m)]
+            most = max(most, len(alive))
+            yield range_m
+
+    background = Background.learned(ranges_m())
+    assert background.frames == 2000
+    assert background.range_m[0, 0] == pytest.approx(1000.0, abs=10.0)
+    assert most < 250
+
+
+@pytest.mark.parametrize(
+    ("frames_m", "says"),
+    [
+        ([], "no frames: record the sensor without the target"),
+        ([np.ones((2, 3)), np.ones((3, 3))], "frames of 3 x 2 and 3 x 3 pixels"),
+    ],
+)
+def test_a_background_of_no_frames_or_of_different_ones_is_refused_with_what_to_do(frames_m, says):
+    with pytest.raises(KnownSurroundingsError, match=says):
+        Background.learned(frames_m)
+
+
+@pytest.mark.parametrize("damage", ["cut", "one array", "other shapes"])
+def test_a_file_that_is_no_background_is_refused_with_its_name_and_the_remedy(damage, tmp_path):
+    file, ones = tmp_path / "b.npz", np.ones((10, 20), np.float32)
+    np.savez_compressed(file, range_m=ones, sigma_m=ones[:5] if damage == "other shapes" else ones)
+    if damage == "cut":
+        file.write_bytes(file.read_bytes()[:100])
+    if damage == "one array":
+        with file.open("wb") as stream:
+            np.save(stream, ones)
+    with pytest.raises(
+        KnownSurroundingsError, match=r"background .*b\.npz cannot be read.*calibrate background"
+    ):
+        Background.read(file)
 
 
 def test_a_background_of_another_size_is_refused_with_both_sizes(tmp_path):
