@@ -133,7 +133,7 @@ def test_a_method_that_believes_what_is_wrong_is_told_as_wrong(
 
 @pytest.mark.parametrize(
     ("kind", "least", "most"),
-    [("lidar", (20, 90, 400), (45, 180, 700)), ("pmd", (0.1, 0.2, 0.45), (0.5, 0.5, 1.0))],
+    [("lidar", (20, 90, 400), (45, 180, 700)), ("pmd", (0.1, 0.2, 0.45), (0.55, 0.55, 1.0))],
 )
 def test_frames_hold_as_much_of_the_target_as_their_condition_says(
     kind: str, least: tuple[float, ...], most: tuple[float, ...], target: Target
