@@ -36,10 +36,12 @@ class FilterConfig(Config):
     acceleration_density_m2_s3: Positive = 2e-3
     """Spectral density of the white acceleration of the target's centre of mass, each axis, m2/s3. Raise it
     if the chaser manoeuvres hard, so that the estimates follow. Lower it for smoother estimates of a slow
-    target."""
+    target. Where a believed pose of a slow sensor needs it, the filter raises it for a while by itself, until
+    the velocity is as uncertain after a step as ``initial_velocity_sigma_m_s`` says."""
     angular_acceleration_density_rad2_s3: Positive = 1e-4
     """Spectral density of the white angular acceleration, each axis, rad2/s3. Raise it for targets that
-    tumble faster than 8 deg/s or nutate. Lower it for smoother rates of a stabilised target."""
+    tumble faster than 8 deg/s or nutate. Lower it for smoother rates of a stabilised target. The filter
+    raises it by itself likewise, up to ``initial_rate_sigma_deg_s``."""
     position_floor_m: NonNegative = 0.002
     """Standard deviation that is added in squares to every measured position, m, for errors of the target's
     model and the mount. Raise it if constant offsets appear; lower it if both are known better."""

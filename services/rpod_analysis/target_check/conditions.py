@@ -24,6 +24,8 @@ RETURNS = (30, 120, 500)
 """Number of returns of a scan without noise."""
 _NEAREST, _FARTHEST = 1.5, 1000.0
 """Least and greatest range, over the radius of the target."""
+_REACH = 0.93
+"""Share of a camera's unambiguous range within which the target is placed, as in the campaigns."""
 _HALVINGS = 14
 _SUN_W_m2 = 1361.0
 _OFF_DEG, _OFF = 3.0, 0.02
@@ -44,7 +46,12 @@ class Condition:
 
 
 def conditions(emulated: EmulatedKind, target: Target, count: int, *, seed: int) -> Iterator[Condition]:
-    """Yield conditions, from far to near in turn; number and seed determine each."""
+    """Yield conditions, from far to near in turn; number and seed determine each.
+
+    A camera measures no range beyond the one that is unambiguous: a target that would be farther away is
+    placed there, and fills more of the image.
+    """
+    reach_m = _REACH * float(getattr(emulated.sensor, "unambiguous_range_m", np.inf))
     low_m, high_m = target.triangles_m.min(axis=(0, 1)), target.triangles_m.max(axis=(0, 1))
     middle_m, size_m = 0.5 * (low_m + high_m), float((high_m - low_m).max())
     names, larger = _sizes(emulated, target)
@@ -52,7 +59,7 @@ def conditions(emulated: EmulatedKind, target: Target, count: int, *, seed: int)
         generator = np.random.default_rng((seed, number))
         attitude = Rotation.random(rng=generator)
         which = number % len(names)
-        pose = _placed(attitude, middle_m, partial(larger, which), target.radius_m)
+        pose = _placed(attitude, middle_m, partial(larger, which), target.radius_m, reach_m)
         axis, way, sun = (_direction(generator) for _ in range(3))
         sun[2] = -abs(sun[2])
         predicted = make_pose(
@@ -87,18 +94,23 @@ def _filled(corners_m: FloatArray, pose: RigidTransform, lens: Camera) -> float:
 
 
 def _placed(
-    attitude: Rotation, middle_m: FloatArray, larger: Callable[[RigidTransform], bool], radius_m: float
+    attitude: Rotation,
+    middle_m: FloatArray,
+    larger: Callable[[RigidTransform], bool],
+    radius_m: float,
+    reach_m: float,
 ) -> RigidTransform:
     """Return T_sensor_target with a place of the target on the boresight, where it looks as large as wanted.
 
-    Where it never looks so large, it is at the least range that is allowed.
+    Where it never looks so large, it is at the least range that is allowed; beyond the reach, at the reach.
     """
 
     def at(range_m: float) -> RigidTransform:
         translation_m = np.array([0.0, 0.0, range_m]) - attitude.apply(middle_m)
         return make_pose(rotation=attitude, translation_m=translation_m)
 
-    low_m, high_m = _NEAREST * radius_m, _FARTHEST * radius_m
+    low_m = _NEAREST * radius_m
+    high_m = max(min(_FARTHEST * radius_m, reach_m), low_m)
     for _ in range(_HALVINGS):
         range_m = float(np.sqrt(low_m * high_m))
         low_m, high_m = (range_m, high_m) if larger(at(range_m)) else (low_m, range_m)

@@ -212,11 +212,29 @@ def _likelier(  # noqa: PLR0917
         assumed: statistics of returns.
         reach: what the outline can tell.
     """
-    least = best.statistics.agreement.log_likelihood
-    if other.statistics.agreement.log_likelihood < least - CHANCE or _are_alike(best.pose, other.pose, reach):
-        return best
-    found = settled(problem, other.pose, range_m, assumed, reach)
-    return found if found.statistics.agreement.log_likelihood > least + CHANCE else best
+    likely = other.statistics.agreement.log_likelihood >= best.statistics.agreement.log_likelihood - CHANCE
+    if _is_unexplained(best) or (likely and not _are_alike(best.pose, other.pose, reach)):
+        best = _likeliest(best, settled(problem, other.pose, range_m, assumed, reach))
+    if _is_unexplained(best):
+        best = _likeliest(best, settled(problem, best.pose, range_m, assumed, reach))
+    return best
+
+
+@kernel
+def _likeliest(best: ScanRegistration, other: ScanRegistration) -> ScanRegistration:
+    """Return the other registration if it is likelier than the best one by more than chance."""
+    least = best.statistics.agreement.log_likelihood + CHANCE
+    return other if other.statistics.agreement.log_likelihood > least else best
+
+
+@kernel
+def _is_unexplained(found: ScanRegistration) -> bool:
+    """Return whether there is a return that no face explains.
+
+    It is clutter, or the pose has slid along faces until a few returns met a wrong one beside an outline.
+    The information does not tell the latter, since the wrong ones are in it.
+    """
+    return bool(found.statistics.agreement.inconsistent > 0)
 
 
 @kernel
@@ -233,7 +251,7 @@ def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) 
     returns = problem.points_m.shape[0]
     likely = _deficit(found) <= -reach.surplus * returns
     finite = np.isfinite(found.information).all()
-    return bool(likely and finite and _determined(found, returns, reach))
+    return bool(likely and finite and not _is_unexplained(found) and _determined(found, returns, reach))
 
 
 @kernel

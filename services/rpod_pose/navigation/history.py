@@ -6,9 +6,11 @@ same, bit for bit, as if they had arrived in order. The newest stamp never goes 
 """
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from typing import NamedTuple
 
+from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.filter import FilterConfig
@@ -89,17 +91,32 @@ def apply(
     A measurement that is too old is not accepted, and nothing changes. ``predicted`` is the history's
     prediction to its stamp, if the caller has it already.
     """
-    predicted = predicted or history.at(measurement.stamp_ns, config)
-    if predicted is None:
+    before = history.before(measurement.stamp_ns, config)
+    if before is None:
         return Applied(history, float("nan"), accepted=False)
+    predicted = predicted or predict(before, measurement.stamp_ns, config)
     place = history.place(measurement.stamp_ns)
-    steps = [*history.steps[:place], _applied(measurement, predicted, config)]
+    steps = [*history.steps[:place], _applied(measurement, before, predicted, config)]
     for later in history.steps[place:]:
-        predicted = predict(steps[-1].outcome.state, later.measurement.stamp_ns, config)
-        steps.append(_applied(later.measurement, predicted, config))
+        before = steps[-1].outcome.state
+        predicted = predict(before, later.measurement.stamp_ns, config)
+        steps.append(_applied(later.measurement, before, predicted, config))
     own = steps[place].outcome
     return Applied(History(history.origin, tuple(steps)).pruned(config), own.nis, own.accepted)
 
 
-def _applied(measurement: PoseMeasurement, predicted: FilterState, config: FilterConfig) -> _Step:
-    return _Step(measurement, predicted, updated(predicted, measurement, config))
+def _applied(
+    measurement: PoseMeasurement, before: FilterState, predicted: FilterState, config: FilterConfig
+) -> _Step:
+    """Return the step with a measurement, with larger accelerations if it needs them and proves them."""
+    outcome = updated(predicted, measurement, config)
+    if not outcome.accepted and measurement.alone and isfinite(outcome.nis):
+        manoeuvre = explaining(before, predicted, measurement, config)
+        if manoeuvre is not None:
+            raised = predict(replace(before, manoeuvre=manoeuvre), measurement.stamp_ns, config)
+            again = updated(raised, measurement, config)
+            if again.accepted:
+                predicted, outcome = raised, again
+    if outcome.accepted:
+        outcome = outcome._replace(state=calmed(outcome.state))
+    return _Step(measurement, predicted, outcome)

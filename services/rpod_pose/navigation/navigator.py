@@ -40,6 +40,7 @@ from rpod_pose.navigation.first_pose.searches import (
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.refusals import Refusals
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
@@ -57,7 +58,7 @@ from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import Mode
+from rpod_schemas.types import BeliefLevel, Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 
@@ -90,7 +91,7 @@ class Navigator:
         self._methods, self._alike = methods, alike
         self._results = Results(settings.filter, alike)
         self._output = self._results.output
-        self._coasting = Coasting(settings)
+        self._coasting, self._refusals = Coasting(settings), Refusals(settings)
         self._beginning = Beginning(
             settings, centre_of_mass_m=centre_of_mass_m, alike=alike, joints=joints, dynamics=dynamics
         )
@@ -297,16 +298,20 @@ class Navigator:
             return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        measured = as_measured(registration, event)
-        state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
+        measured, proven = as_measured(registration, event), tracked and registration.begins_track
+        alone = proven and registration.belief.level is BeliefLevel.ACCEPTED
+        alone = alone and self._refusals.cannot_wait(history, event.stamp_ns)
+        offered = replace(measured, alone=alone)
+        state, nis, accepted = applied(state, history, offered, self._settings.filter, predicted)
         if not accepted:
-            if tracked and registration.begins_track:
+            if proven:
                 started = self._beginning.filter_at(measured)
                 state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
                 if outcome != Outcome.OPEN:
                     reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
-            return self._reject(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+            reason = self._refusals.told(history, predicted, measured, nis=nis, tracked=tracked)
+            return self._reject(state, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
             state, event.sensor
         )

@@ -66,6 +66,9 @@ class PoseMeasurement:
     """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), but for the error of the mount."""
     origin: Origin | None = None
     """Where it comes from; None for a pose that no sensor has measured, as a given one."""
+    alone: bool = False
+    """Whether its frame proves it without the prediction, and the track cannot wait for another one: where
+    the gate refuses it, larger accelerations are tried (``dynamics/manoeuvre``)."""
 
 
 class Shared(NamedTuple):

@@ -164,8 +164,9 @@ def placed(image: RangeImage, surface: Surface, pose: RigidTransform) -> Place |
     tolerance_m = surface.tolerance_m
     reach = image.rays_across(tolerance_m, float(rendered_m[met].min()))
     shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - tolerance_m
-    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + tolerance_m
+    tolerance = np.float32(tolerance_m)
+    nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - tolerance
+    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + tolerance
     cosine = np.zeros(met.shape)
     normals = pose.rotation.apply(surface.normals[hits.triangle[met]])
     cosine[met] = np.abs((normals * image.grid.directions[met]).sum(axis=1))

@@ -16,7 +16,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
-from rpod_pose.navigation.filter import Block, FilterState, MotionModel
+from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Target
@@ -59,8 +59,14 @@ CONSTANT = Dynamics()
 
 
 def evidence_of(state: FilterState) -> dict[str, float]:
-    """Return size and standard deviation of a model's further states, by name, for the status."""
+    """Return size and standard deviation of a model's further states, by name, for the status.
+
+    While the target moves by more than the filter expects, the factors on the densities of accelerations too.
+    """
     places, found = state.places(), {}
+    if state.manoeuvre != CALM:
+        found["acceleration_factor"] = state.manoeuvre.acceleration
+        found["angular_acceleration_factor"] = state.manoeuvre.angular
     imu = state.model.chaser if isinstance(state.model, FreeMotion) else None
     for block in state.blocks:
         if block.name in STATES:

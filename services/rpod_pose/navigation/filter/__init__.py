@@ -22,6 +22,7 @@ from rpod_pose.navigation.filter.correction import (
     Innovation,
     Sensitivities,
     Update,
+    gate_nis,
     grown,
     innovation_of,
     is_consistent,
@@ -34,17 +35,20 @@ from rpod_pose.navigation.filter.prediction import StampOrderError, predict
 from rpod_pose.navigation.filter.rotations import exponential, left_jacobian
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
+    CALM,
     POSE,
     POSITION,
     RATE,
     TWIST,
     VELOCITY,
     FilterState,
+    Manoeuvre,
     MotionModel,
 )
 
 __all__ = [
     "ATTITUDE",
+    "CALM",
     "NOTHING",
     "POSE",
     "POSITION",
@@ -54,11 +58,13 @@ __all__ = [
     "Block",
     "FilterState",
     "Innovation",
+    "Manoeuvre",
     "MotionModel",
     "Sensitivities",
     "StampOrderError",
     "Update",
     "exponential",
+    "gate_nis",
     "grown",
     "innovation_of",
     "is_consistent",

@@ -136,8 +136,7 @@ def update(
         return Update(state, float("nan"), accepted=False)
 
     nis = float(innovation @ np.linalg.solve(S, innovation))
-    gate_nis = _gate(config.tuning.gate_nis, state.alike.dof)
-    if not 0.0 <= nis <= gate_nis:  # negative: the covariance is not positive definite
+    if not 0.0 <= nis <= gate_nis(state, config):  # negative: the covariance is not positive definite
         return Update(state, nis, accepted=False)
 
     gain = np.linalg.solve(S, cross).T
@@ -163,7 +162,12 @@ def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) 
     R = rotation_matrix(state.T_chaser_target)
     covariance = state.alike.with_free_variance(state.covariance[POSE, POSE].copy(), R, 1.0)
     nis = float(difference @ np.linalg.solve(covariance, difference))
-    return 0.0 <= nis <= _gate(config.tuning.gate_nis, state.alike.dof)
+    return 0.0 <= nis <= gate_nis(state, config)
+
+
+def gate_nis(state: FilterState, config: FilterConfig) -> float:
+    """Return the largest accepted normalised innovation squared, for as many directions as are observed."""
+    return _gate(config.tuning.gate_nis, state.alike.dof)
 
 
 def measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArray:

@@ -16,11 +16,13 @@ from rpod_pose.navigation.filter.blocks import faded, step_of
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, symmetric
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
+    CALM,
     MOTION,
     POSITION,
     RATE,
     VELOCITY,
     FilterState,
+    Manoeuvre,
     Motion,
     unturned,
 )
@@ -47,11 +49,23 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     if stamp_ns == state.stamp_ns:
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
-    moved, F, noise, after = (state.model or constant_twist)(state, step_s, config)
+    moved, F, noise, after = (state.model or constant_twist)(state, step_s, _raised(config, state.manoeuvre))
     covariance = F @ state.covariance @ F.T + noise
     if after is not None:
         covariance = after @ covariance @ after.T
     return unturned(replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config)
+
+
+def _raised(config: FilterConfig, manoeuvre: Manoeuvre) -> FilterConfig:
+    """Return a configuration whose densities of accelerations are raised by factors."""
+    if manoeuvre == CALM:
+        return config
+    densities = {
+        "acceleration_density_m2_s3": manoeuvre.acceleration * config.acceleration_density_m2_s3,
+        "angular_acceleration_density_rad2_s3": manoeuvre.angular
+        * config.angular_acceleration_density_rad2_s3,
+    }
+    return config.model_copy(update=densities)
 
 
 def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> Motion:

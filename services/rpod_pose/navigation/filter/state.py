@@ -41,6 +41,19 @@ class MotionModel(Protocol):
         ...
 
 
+class Manoeuvre(NamedTuple):
+    """Factors on the densities of accelerations, at least 1, while the target moves by more than expected."""
+
+    acceleration: float
+    """Factor on ``acceleration_density_m2_s3``."""
+    angular: float
+    """Factor on ``angular_acceleration_density_rad2_s3``."""
+
+
+CALM = Manoeuvre(1.0, 1.0)
+"""The target moves as the configuration expects."""
+
+
 @dataclass(frozen=True, eq=False)
 class FilterState:
     """State of the filter at one time."""
@@ -62,6 +75,8 @@ class FilterState:
     """Further states; their names differ."""
     model: MotionModel | None = None
     """Model of the motion between measurements; None for constant velocity and rate."""
+    manoeuvre: Manoeuvre = CALM
+    """By how much the densities of accelerations are raised."""
 
     @property
     def size(self) -> int:

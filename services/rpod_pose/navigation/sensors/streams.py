@@ -1,7 +1,8 @@
 """The navigator's memory of each sensor's frames: whether they support the track."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from math import inf
 
 from rpod_schemas.messages import NANOSECONDS
 
@@ -13,16 +14,16 @@ PERIODS = 1.5
 
 @dataclass(frozen=True)
 class Stream:
-    """The frames of one sensor, accepted or not."""
+    """The frames of one sensor, accepted or not. A clock may begin at 0: any stamp may be that of a frame."""
 
-    heard_ns: int = 0
-    """Stamp of the newest frame."""
-    period_ns: int = 0
-    """Time between the two newest frames; 0 if unknown."""
-    searched_ns: int = 0
-    """Stamp of the newest frame that was searched without a guess, in vain; 0 if none."""
-    accepted_ns: int = 0
-    """Newest stamp of a frame that the present track has accepted; 0 if none."""
+    heard_ns: int | None = None
+    """Stamp of the newest frame; None if there is none."""
+    period_ns: int | None = None
+    """Time between the two newest frames; None if unknown."""
+    searched_ns: int | None = None
+    """Stamp of the newest frame that was searched without a guess, in vain; None if there is none."""
+    accepted_ns: int | None = None
+    """Newest stamp of a frame that the present track has accepted; None if there is none."""
 
     def supports(self, stamp_ns: int, at_least_s: float, unknown_s: float = 0.0) -> bool:
         """Return whether the newest accepted frame is new enough to support the track at a stamp.
@@ -32,10 +33,10 @@ class Stream:
             at_least_s: age up to which a measurement of a fast sensor is new.
             unknown_s: the same for a sensor whose period is not known yet.
         """
-        if not self.accepted_ns:
+        if self.accepted_ns is None:
             return False
-        period_s = self.period_ns / NANOSECONDS
-        allowed_s = max(at_least_s, PERIODS * period_s if period_s else unknown_s)
+        late_s = unknown_s if self.period_ns is None else PERIODS * self.period_ns / NANOSECONDS
+        allowed_s = max(at_least_s, late_s)
         return (stamp_ns - self.accepted_ns) / NANOSECONDS <= allowed_s
 
 
@@ -46,21 +47,23 @@ Streams = Mapping[str, Stream]
 def heard(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
     """Return the streams after a frame has arrived."""
     stream = streams.get(sensor, Stream())
-    if stamp_ns <= stream.heard_ns:
+    before_ns = stream.heard_ns
+    if before_ns is not None and stamp_ns <= before_ns:
         return streams
-    period_ns = stamp_ns - stream.heard_ns if stream.heard_ns else 0
+    period_ns = None if before_ns is None else stamp_ns - before_ns
     return {**streams, sensor: replace(stream, heard_ns=stamp_ns, period_ns=period_ns)}
 
 
 def supported(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
     """Return the streams after the track has accepted a frame."""
     stream = streams.get(sensor, Stream())
-    return {**streams, sensor: replace(stream, accepted_ns=max(stream.accepted_ns, stamp_ns))}
+    newest_ns = stamp_ns if stream.accepted_ns is None else max(stream.accepted_ns, stamp_ns)
+    return {**streams, sensor: replace(stream, accepted_ns=newest_ns)}
 
 
 def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
     """Return the streams when a track begins: none supports it but the sensor of its first frame, if any."""
-    none = {name: replace(stream, accepted_ns=0) for name, stream in streams.items()}
+    none = {name: replace(stream, accepted_ns=None) for name, stream in streams.items()}
     return supported(none, sensor, stamp_ns) if sensor else none
 
 
@@ -71,25 +74,31 @@ def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
     """Return whether a frame is left unsearched, so that searches in vain do not delay another sensor."""
-    since_s = (stamp_ns - streams.get(sensor, Stream()).searched_ns) / NANOSECONDS
-    return 0.0 <= since_s < pause_s
+    searched_ns = streams.get(sensor, Stream()).searched_ns
+    return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
 
 
 def supporters(streams: Streams) -> list[str]:
     """Return the sensors of which the present track has accepted a frame, the newest first."""
-    names = [name for name, stream in streams.items() if stream.accepted_ns]
-    return sorted(names, key=lambda name: (-streams[name].accepted_ns, name))
+    accepted = {
+        name: stream.accepted_ns for name, stream in streams.items() if stream.accepted_ns is not None
+    }
+    return sorted(accepted, key=lambda name: (-accepted[name], name))
 
 
 def silent_since_s(streams: Streams, stamp_ns: int) -> float:
-    """Return the time since the newest frame of any sensor, accepted or not, s."""
-    return (stamp_ns - max((stream.heard_ns for stream in streams.values()), default=0)) / NANOSECONDS
+    """Return the time since the newest frame of any sensor, accepted or not, s; infinite if there is none."""
+    return _since_s((stream.heard_ns for stream in streams.values()), stamp_ns)
 
 
 def unsupported_s(streams: Streams, stamp_ns: int) -> float:
     """Return the time since the newest accepted measurement, s; infinite if there is none."""
-    newest_ns = max((stream.accepted_ns for stream in streams.values()), default=0)
-    return (stamp_ns - newest_ns) / NANOSECONDS if newest_ns else float("inf")
+    return _since_s((stream.accepted_ns for stream in streams.values()), stamp_ns)
+
+
+def _since_s(stamps_ns: Iterable[int | None], stamp_ns: int) -> float:
+    newest_ns = max((one_ns for one_ns in stamps_ns if one_ns is not None), default=None)
+    return inf if newest_ns is None else (stamp_ns - newest_ns) / NANOSECONDS
 
 
 def is_supported(streams: Streams, stamp_ns: int, *, at_least_s: float, unknown_s: float) -> bool:

@@ -285,6 +285,14 @@ def test_silence_is_told_with_predictions_until_the_track_is_lost():
     assert made.tick(START_S + 31.0) is None
 
 
+def test_a_clock_that_begins_at_zero_is_as_good_as_any():
+    # the LIDAR campaigns' first stamp is 0, and their second frame was lost: 0 was taken for "never accepted"
+    made = rig(pose=truth(0.0))
+    seen = [made.see(good(float(second))) for second in range(3)]
+    assert [output.status.mode for output in seen] == [Mode.TRACKING] * 3
+    assert all(output.odometry is not None for output in seen)
+
+
 def test_rejected_measurements_are_not_silence():
     made = tracking(silence_timeout_s=2.5, alert=WIDE)
     for number in range(1, 5):
@@ -462,7 +470,8 @@ def test_a_measurement_that_comes_too_late_is_rejected_and_changes_nothing():
 
 def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
     """The target sets off between two frames: the second is believed once the first has arrived."""
-    made = tracking(START_S + 1.0, alert=WIDE)
+    slow = FilterConfig(initial_velocity_sigma_m_s=0.05)  # so that no manoeuvre explains the second alone
+    made = tracking(START_S + 1.0, alert=WIDE, filter_config=slow)
     assert not made.see(wrong(START_S + 2.0, offset_m=0.2)).status.accepted
     assert made.see(wrong(START_S + 1.5, offset_m=0.1)).status.accepted
     moved_m = made.state.history.state.T_chaser_target.translation - truth(START_S + 2.0).translation

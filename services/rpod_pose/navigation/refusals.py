@@ -1,0 +1,92 @@
+"""Poses that the filter's gate refuses: whether the track can wait for another one, and what is told."""
+
+from math import degrees, inf, isfinite
+
+import numpy as np
+
+from rpod_pose.navigation.dynamics.manoeuvre import needed
+from rpod_pose.navigation.filter import ATTITUDE, POSITION, FilterState, Innovation, Manoeuvre, gate_nis
+from rpod_pose.navigation.history import History
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.messages import NANOSECONDS
+
+
+class Refusals:
+    """What is done and told about poses that the gate refuses; its only state is its configuration.
+
+    Args:
+        settings: settings of the estimator.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._config, self._wait_s = settings.filter, settings.navigator.coasting_after_s
+
+    def cannot_wait(self, history: History, stamp_ns: int) -> bool:
+        """Return whether the track would be without a measurement for too long if a pose was refused.
+
+        A faster sensor confirms its pose by the next one (``challenger``).
+        """
+        before = history.before(stamp_ns, self._config)
+        return before is not None and stamp_ns - before.stamp_ns > self._wait_s * NANOSECONDS
+
+    def told(
+        self,
+        history: History,
+        predicted: FilterState,
+        measured: PoseMeasurement,
+        *,
+        nis: float,
+        tracked: bool,
+    ) -> str:
+        """Return the reason of a refusal: the gate, the figures, and the setting to change.
+
+        Args:
+            history: the history before the pose.
+            predicted: the prediction that it met.
+            measured: the pose.
+            nis: its normalised innovation squared.
+            tracked: whether the track has a twist; else it is that of the filter's start.
+        """
+        before, text = history.before(measured.stamp_ns, self._config), f"gate: nis {nis:.1f}"
+        if before is None or not isfinite(nis) or measured.stamp_ns <= before.stamp_ns:
+            return text
+        found = compared(predicted, measured, self._config)
+        text += f", at most {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
+        least = needed(before, predicted, measured, self._config)
+        settings = self._densities(least) if tracked else _priors(least)
+        return f"{text}; if the target moves so, raise {' and '.join(settings)}" if settings else text
+
+    def _densities(self, least: Manoeuvre) -> list[str]:
+        config = self._config
+        raised = {
+            "filter.acceleration_density_m2_s3": config.acceleration_density_m2_s3 * least.acceleration,
+            "filter.angular_acceleration_density_rad2_s3": config.angular_acceleration_density_rad2_s3
+            * least.angular,
+        }
+        return [
+            f"{name} to {value:.1g}"
+            for (name, value), factor in zip(raised.items(), least, strict=True)
+            if 1.0 < factor < inf
+        ]
+
+
+def _priors(least: Manoeuvre) -> list[str]:
+    names = ("filter.initial_velocity_sigma_m_s", "filter.initial_rate_sigma_deg_s")
+    return [
+        f"{name} to a third of the largest {what}"
+        for name, what, factor in zip(names, ("speed", "rate"), least, strict=True)
+        if 1.0 < factor < inf
+    ]
+
+
+def _beyond(before: FilterState, predicted: FilterState, found: Innovation) -> str:
+    """Return how far a measured pose is off its prediction, and how far it was expected to be, in words."""
+    sigma = np.sqrt(np.diag(found.covariance))
+    shift_m, turn_rad = (float(np.linalg.norm(found.difference[part])) for part in (POSITION, ATTITUDE))
+    expected_m, expected_rad = (float(np.linalg.norm(sigma[part])) for part in (POSITION, ATTITUDE))
+    step_s = (predicted.stamp_ns - before.stamp_ns) / NANOSECONDS
+    return (
+        f"{degrees(turn_rad):.1f} deg and {1e3 * shift_m:.0f} mm beside the prediction over {step_s:.2f} s, "
+        f"{degrees(expected_rad):.1f} deg and {1e3 * expected_m:.0f} mm expected"
+    )

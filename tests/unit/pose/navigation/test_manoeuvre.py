@@ -1,0 +1,106 @@
+"""A target that accelerates by more than the filter expects, seen once a second."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from navigator_rig import MOUNT, SECOND_NS, START_S, View, good, registration, rig, tracking, turned
+from scipy.spatial.transform import Rotation
+
+from rpod_pose.belief import Belief
+from rpod_pose.navigation.filter import CALM
+from rpod_schemas.poses import make_pose, pose_error
+from rpod_schemas.types import BeliefLevel, Mode
+
+NOISE = np.repeat([0.01, 0.003], 3)
+
+
+def swaying(time_s: float, amplitude_deg: float = 30.0, period_s: float = 11.0):
+    """Return T_chaser_target: at most 17 deg/s and 10 deg/s2."""
+    angle_deg = amplitude_deg * np.sin(2.0 * np.pi * (time_s - START_S) / period_s)
+    return make_pose(
+        rotation=Rotation.from_euler("y", angle_deg, degrees=True), translation_m=[0.0, 0.0, 3.5]
+    )
+
+
+def seen(pose, time_s: float, rng=None, **changes) -> View:
+    found = registration(MOUNT.inv() * pose, **changes)
+    if rng is not None:
+        off = NOISE * rng.standard_normal(6)
+        moved = make_pose(
+            rotation=Rotation.from_rotvec(off[3:]) * found.T_sensor_target.rotation,
+            translation_m=found.T_sensor_target.translation + off[:3],
+        )
+        found = replace(found, T_sensor_target=moved)
+    return View(round(time_s * SECOND_NS), tracked=found, acquired=(found,))
+
+
+def test_a_target_that_sways_by_ten_degrees_per_second_squared_is_tracked_once_a_second():
+    made, rng, errors, factors = rig(pose=swaying(START_S)), np.random.default_rng(5), [], []
+    for second in range(40):
+        output = made.see(seen(swaying(START_S + second), START_S + second, rng))
+        assert (output.status.accepted, output.status.mode) == (True, Mode.TRACKING)
+        turn_rad, shift_m = pose_error(output.odometry.pose, swaying(START_S + second))
+        errors.append(np.concatenate([shift_m, turn_rad]))
+        covariance = output.odometry.pose_covariance
+        factors.append(made.state.history.state.manoeuvre)
+    assert max(factor.angular for factor in factors) > 10.0
+    assert max(factor.acceleration for factor in factors) < 2.0
+    assert np.sqrt(np.square(errors).mean(axis=0)).max() < 0.02
+    assert np.sqrt(np.diag(covariance)).max() < 0.03
+
+
+def test_the_filter_is_calm_again_after_the_manoeuvre():
+    made = rig(pose=swaying(START_S))
+    for second in range(14):
+        made.see(seen(swaying(START_S + second), START_S + second))
+    assert (
+        made.see(seen(swaying(START_S + 14.0), START_S + 14)).status.evidence["angular_acceleration_factor"]
+        > 1.0
+    )
+    for second in range(15, 26):  # it stops where it turns back
+        assert made.see(seen(swaying(START_S + 14.0), START_S + second)).status.accepted
+    assert made.state.history.state.manoeuvre == CALM
+
+
+def test_a_pose_that_no_allowed_acceleration_explains_is_refused_with_the_setting_to_change():
+    made = tracking(rate_hz=1.0, until_s=START_S + 5.0)
+    output = made.see(turned(START_S + 6.0, 19.0))
+    assert not output.status.accepted
+    reason = output.status.reason
+    assert reason.startswith("gate: nis")
+    assert "at most 16.8: 19.0 deg and " in reason
+    assert "raise filter.angular_acceleration_density_rad2_s3 to " in reason
+    assert "filter.acceleration_density" not in reason
+    value = float(reason.rsplit(" ", 1)[1])
+    config = made.navigator._settings.filter
+    taught = tracking(
+        rate_hz=1.0,
+        until_s=START_S + 5.0,
+        filter_config=config.model_copy(update={"angular_acceleration_density_rad2_s3": value}),
+    )
+    assert taught.see(turned(START_S + 6.0, 19.0)).status.accepted
+
+
+def test_a_frame_that_does_not_prove_its_pose_changes_no_density():
+    made = tracking(rate_hz=1.0, until_s=START_S + 5.0)
+    view = turned(START_S + 6.0, 9.0)
+    doubtful = replace(view.tracked, belief=Belief(BeliefLevel.DOUBTFUL, "few returns"))
+    assert not made.see(replace(view, tracked=doubtful)).status.accepted
+    assert made.state.history.state.manoeuvre == CALM
+    assert made.see(turned(START_S + 7.0, 9.0)).status.accepted
+
+
+@pytest.mark.parametrize("angle_deg", [2.0, 4.0])
+def test_a_fast_sensor_waits_for_a_second_frame_that_agrees(angle_deg):
+    made = tracking(until_s=START_S + 2.0)
+    assert not made.see(turned(START_S + 2.1, angle_deg)).status.accepted
+    assert made.state.history.state.manoeuvre == CALM
+
+
+def test_a_first_motion_beyond_the_priors_names_the_prior():
+    made = rig()
+    made.see(good(START_S))
+    assert "raise filter.initial_rate_sigma_deg_s to a third of the largest rate" in (
+        made.see(turned(START_S + 0.5, 15.0)).status.reason
+    )
