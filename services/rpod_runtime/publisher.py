@@ -73,4 +73,5 @@ class Publisher:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._publisher.undeclare()  # type: ignore[no-untyped-call]
+        with self._lock:  # Zenoh refuses to undeclare a publisher that another thread uses
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]

@@ -215,8 +215,7 @@ def test_from_the_last_true_pose_one_failure_does_not_make_the_next(followed):
 def test_the_navigator_follows_as_well(followed):
     cell, _ = followed
     rows = sequence.run(replace(shortened(cell, 4.0), through="navigator"), 7, 0)
-    # One frame tells no twist: after a second without a frame the pose is to be verified anew.
-    assert [row["measured"] for row in rows] == [True, False, True, True]
+    assert all(row["measured"] for row in rows)  # the first frame has the stamp 0, and counts
     assert rows[-1]["attitude_deg"] < 3.0
 
 
