@@ -12,7 +12,7 @@ from rpod_schemas.config.facility import FacilityFile
 
 STOP_TIMEOUT_S = 60.0
 """Longest time that one service may take to finish, on a loaded machine too."""
-_LOCK, _STATUS = "keeper.pid", "status.json"
+_LOCK, _STATUS = "manager.pid", "status.json"
 
 
 class DaemonStatus(Config):

@@ -31,7 +31,7 @@ class Asked:
     reload: bool = False
 
 
-class Keeper:
+class ServiceManager:
     """All services of a facility, each kept alive."""
 
     def __init__(self, facility: ResolvedFacility, sockets: Path) -> None:
@@ -44,7 +44,7 @@ class Keeper:
         self._shown: list[tuple[DaemonState, int | None, ReserveState]] = []
         self._next_s = 0.0
 
-    def keep(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
+    def run(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
         """Start the services, keep them alive until stopped, and stop them, the last one first."""
         try:
             for daemon in self._daemons:
@@ -125,7 +125,7 @@ def keep_up(facility: ResolvedFacility, *, asked: Asked, tell: Callable[[Facilit
         stack.enter_context(held(facility.state))
         # short: the path of a socket has at most 107 bytes
         sockets = Path(stack.enter_context(TemporaryDirectory(prefix="rpod-", ignore_cleanup_errors=True)))
-        Keeper(facility, sockets).keep(asked, tell)
+        ServiceManager(facility, sockets).run(asked, tell)
 
 
 def _memory_bytes(pid: int | None) -> int | None:
