@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_campaign.integrity.campaign import sizes_of
-from rpod_campaign.integrity.course import IntegrityCell
+from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import BY_NAME, Injector, LyingTracker
 from rpod_campaign.integrity.report import poisson_interval, share_bound, summarise
