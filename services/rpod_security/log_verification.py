@@ -45,13 +45,13 @@ class _Seal(Config):
 
 @dataclass
 class Verdict:
-    """What came of the comparison."""
+    """Result of the comparison."""
 
     log: Path
     problems: list[str] = field(default_factory=list)
-    """What is not as it was written; nothing if the log is intact."""
+    """Differences from the log as it was written; none if it is intact."""
     notes: list[str] = field(default_factory=list)
-    """What the comparison does not cover."""
+    """Limits of the comparison: contents that it does not cover."""
     verified_bytes: int = 0
     """Bytes of the log, from its beginning, that are as they were written."""
     closed: bool = False

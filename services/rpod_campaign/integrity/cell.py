@@ -1,4 +1,4 @@
-"""What a trial of the campaign ``integrity`` tries."""
+"""Cell of the campaign ``integrity``."""
 
 from dataclasses import dataclass, field
 

@@ -42,7 +42,7 @@ _MOTION = 21
 
 
 class SequenceCell(Hashable, Protocol):
-    """What a campaign's cell says of its sequences."""
+    """A campaign's cell whose trials are sequences."""
 
     @property
     def target(self) -> str:
