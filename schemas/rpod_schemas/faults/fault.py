@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Evidence = Literal["rate", "truth", "plane", "info"]
-"""Information without which a fault cannot be seen: the sensor's nominal rate; truth, mount and target model; a plane in view,
-or truth; the sensor's info message."""
+"""Information without which a fault cannot be seen: the sensor's nominal rate; truth, mount and target model;
+a plane in view, or truth; the sensor's info message."""
 Subject = Literal["messages", "scene", "link", "process", "disk"]
 """Part that has the fault: a sensor's messages, the scene that it sees, a service's link to the router, its
 process, or the logger's disk."""
