@@ -31,7 +31,7 @@ class Asked:
     reload: bool = False
 
 
-class ServiceManager:
+class FacilityManager:
     """All services of a facility, each kept alive."""
 
     def __init__(self, facility: ResolvedFacility, sockets: Path) -> None:
@@ -125,7 +125,7 @@ def keep_up(facility: ResolvedFacility, *, asked: Asked, tell: Callable[[Facilit
         stack.enter_context(held(facility.state))
         # short: the path of a socket has at most 107 bytes
         sockets = Path(stack.enter_context(TemporaryDirectory(prefix="rpod-", ignore_cleanup_errors=True)))
-        ServiceManager(facility, sockets).run(asked, tell)
+        FacilityManager(facility, sockets).run(asked, tell)
 
 
 def _memory_bytes(pid: int | None) -> int | None:

@@ -161,8 +161,8 @@ class _Check:
         verdict.signed_by = self._signatory.identity.common_name
         if self._authority is None:
             verdict.notes.append("whose certificate that is was not checked: give the authority's")
-        elif doubt := self._signatory.doubt(self._authority, when=head.time.astimezone(UTC)):
-            verdict.problems.append(doubt)
+        elif reason := self._signatory.rejection(self._authority, when=head.time.astimezone(UTC)):
+            verdict.problems.append(reason)
 
     def _compare(self, stream: IO[bytes]) -> _Seal | None:
         """Compare the log's bytes with the chain; return the last line about them."""

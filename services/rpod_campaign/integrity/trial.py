@@ -18,7 +18,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
-from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, LyingTracker, model_of
+from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, TurnedTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of
 from rpod_campaign.sequences.course import EPOCH_S, Course, lidar_of
 from rpod_campaign.sequences.settings import inputs_of, settings_of
@@ -72,7 +72,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     course = Course(cell, seed, trial)
     faulty = "lidar" if cell.sensor == "lidar" else "pmd"
     turn = Rotation.from_rotvec(cell.size * np.eye(3)[stream(seed, trial, _TURN).integers(3)], degrees=True)
-    methods, liars = _liable(_methods(cell), turn)
+    methods, turned = _turnable(_methods(cell), turn)
     settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
     navigator = Navigator(
@@ -94,8 +94,8 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
         clean = declared[exact.sensor].measured(exact)
         mine = clean.sensor == faulty
         measurement = injector.measured(time_s, clean) if mine else clean
-        lies = mine and cell.fault == "half_turn" and injector.is_active(time_s)
-        liars[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
+        is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
+        turned[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
         frozen = mine and injector.repeats >= FROZEN_REPEATS
         if frozen:  # as the estimator refuses it, before the navigator
             output = _refused(measurement, state)
@@ -181,9 +181,9 @@ def _methods(cell: IntegrityCell) -> dict[str, Methods]:
     }
 
 
-def _liable(
+def _turnable(
     methods: dict[str, Methods], turn: Rotation
-) -> tuple[dict[str, Methods], dict[str, LyingTracker]]:
-    """Return the methods with trackers that can lie, and these trackers, by the sensor's name."""
-    liars = {name: LyingTracker(each.tracker, turn) for name, each in methods.items()}
-    return {name: replace(each, tracker=liars[name]) for name, each in methods.items()}, liars
+) -> tuple[dict[str, Methods], dict[str, TurnedTracker]]:
+    """Return the methods with trackers that can return a turned pose, and these trackers, by the sensor's name."""
+    turned = {name: TurnedTracker(each.tracker, turn) for name, each in methods.items()}
+    return {name: replace(each, tracker=turned[name]) for name, each in methods.items()}, turned

@@ -41,7 +41,7 @@ _MOTION = 21
 """Stream of random numbers."""
 
 
-class SequenceCell(Hashable, Protocol):
+class CourseCell(Hashable, Protocol):
     """A campaign's cell whose trials are sequences."""
 
     @property
@@ -80,7 +80,7 @@ def fault_start_s(sensor: str) -> float:
 class Course:
     """The motion of a trial's target, and the frames that the sensors take of it."""
 
-    def __init__(self, cell: SequenceCell, seed: int, trial: int) -> None:
+    def __init__(self, cell: CourseCell, seed: int, trial: int) -> None:
         self._cell, self._seed, self._trial = cell, seed, trial
         self._offset_s = 0.0
         self._stage: Stage | None = None

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 from rpod_campaign.lidar.methods import tracking_input
 from rpod_campaign.pmd.scene import camera_of, scenario_of
-from rpod_campaign.sequences.course import SequenceCell
+from rpod_campaign.sequences.course import CourseCell
 from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.filter import FilterConfig
@@ -12,7 +12,7 @@ from rpod_schemas.config.sensor import SensorInput
 
 
 @lru_cache(maxsize=8)
-def inputs_of(cell: SequenceCell) -> tuple[SensorInput, ...]:
+def inputs_of(cell: CourseCell) -> tuple[SensorInput, ...]:
     """Return the estimator's inputs for the sensors of a cell's sequences."""
     lidar = tracking_input("projective")
     inputs: tuple[SensorInput, ...] = ()
@@ -27,7 +27,7 @@ def inputs_of(cell: SequenceCell) -> tuple[SensorInput, ...]:
     return inputs if cell.sensor == "pmd" else (*inputs, lidar)
 
 
-def settings_of(cell: SequenceCell) -> EstimatorSettings:
+def settings_of(cell: CourseCell) -> EstimatorSettings:
     """Return the scenario's settings with the cell's sensors.
 
     The LIDAR alone has those of a user who knows that nothing turns the target, and that its file is exact.
