@@ -184,6 +184,6 @@ def _methods(cell: IntegrityCell) -> dict[str, Methods]:
 def _turnable(
     methods: dict[str, Methods], turn: Rotation
 ) -> tuple[dict[str, Methods], dict[str, TurnedTracker]]:
-    """Return the methods with trackers that can return a turned pose, and these trackers, by the sensor's name."""
+    """Return the methods with trackers that may be turned, and these trackers, by the sensor's name."""
     turned = {name: TurnedTracker(each.tracker, turn) for name, each in methods.items()}
     return {name: replace(each, tracker=turned[name]) for name, each in methods.items()}, turned
