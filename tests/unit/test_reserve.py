@@ -7,7 +7,7 @@ from threading import Event
 import pytest
 from pydantic import ValidationError
 
-from rpod.reserve import AFTER_S, PAUSE_S, Reserve
+from rpod.up.reserve import AFTER_S, PAUSE_S, Reserve
 from rpod_runtime import reserve as waiting
 from rpod_runtime.errors import NotNeededError
 from rpod_runtime.notify import manager
@@ -68,7 +68,7 @@ def test_a_reserve_that_is_not_needed_ends_and_one_that_fails_is_not_tried_again
     for _ in range(3):
         failing.update(AFTER_S)
     assert len(started) == 2
-    monkeypatch.setattr("rpod.reserve.time.monotonic", lambda now_s=failing._due_s: now_s + PAUSE_S)
+    monkeypatch.setattr("rpod.up.reserve.time.monotonic", lambda now_s=failing._due_s: now_s + PAUSE_S)
     failing.update(AFTER_S)
     assert len(started) == 3
 

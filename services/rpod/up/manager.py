@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rpod.daemon import Daemon, DaemonState
-from rpod.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
-from rpod.reserve import ReserveState
-from rpod.resolved import ResolvedFacility, resolve_facility
+from rpod.up.daemon import Daemon, DaemonState
+from rpod.up.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
+from rpod.up.reserve import ReserveState
+from rpod.up.resolved import ResolvedFacility, resolve_facility
 from rpod_runtime.awake import AwakeClock
 from rpod_schemas.errors import ConfigurationError
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from rpod.reserve import Reserve
-from rpod.resolved import ResolvedService
+from rpod.up.reserve import Reserve
+from rpod.up.resolved import ResolvedService
 from rpod_runtime.awake import AwakeClock
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.notify import IN_RESERVE
