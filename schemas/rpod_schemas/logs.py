@@ -183,7 +183,7 @@ class OutageTime(Config):
 
 
 class BusRecord(Config):
-    """What the logger saw of the bus while a file was open, beside the messages."""
+    """Events of the bus while a file was open, beside the messages."""
 
     outages: tuple[OutageTime, ...] = ()
     """Times without a link to the router; each is also a reason why the file is not complete."""

@@ -70,4 +70,4 @@ ROSOUT = Qos(transient_local=True, depth=1000, lifespan_s=10)
 PARAMETERS = Qos(depth=1000)
 """rmw_qos_profile_parameters and rmw_qos_profile_parameter_events."""
 ANY_PUBLISHER = Qos(reliable=False)
-"""What a subscriber asks for that takes any publisher, best effort or reliable (REP 2003)."""
+"""Quality of service of a subscriber that takes any publisher, best effort or reliable (REP 2003)."""

@@ -12,7 +12,7 @@ from rpod_schemas.config.base import Config
 
 
 class ReloadReply(Config):
-    """What a service that read its configuration again has changed."""
+    """Changes of a service that read its configuration again."""
 
     changed: dict[str, Any] = Field(default_factory=dict)
     """New values of the fields that have changed, by name."""

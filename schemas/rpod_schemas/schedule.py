@@ -38,17 +38,6 @@ def last_number(sensor: SensorConfig, until_ns: int, *, epoch_ns: int) -> int:
     return number
 
 
-def due_frames(sensors: Sequence[SensorConfig], *, epoch_ns: int, duration_s: float) -> Iterator[DueFrame]:
-    """Yield all frames with stamps in (epoch, epoch + duration], in order."""
-    until_ns = epoch_ns + round(duration_s * NANOSECONDS)
-    frames = [
-        frame_at(sensor, number, epoch_ns=epoch_ns)
-        for sensor in sensors
-        for number in range(1, last_number(sensor, until_ns, epoch_ns=epoch_ns) + 1)
-    ]
-    yield from sorted(frames)
-
-
 @dataclass(frozen=True)
 class Step:
     """One step of lockstep: the time of the clock at which one frame is handed out."""

@@ -44,7 +44,7 @@ class LostFrames(Config):
 
 
 class InputAccount(Config):
-    """What became of a sensor's frames at the estimator, by its own account."""
+    """Numbers of a sensor's frames by their outcome at the estimator, as it counts them."""
 
     used: Count
     """Number of frames whose measurement was accepted."""
@@ -53,7 +53,7 @@ class InputAccount(Config):
 
 
 class BodyAccount(Config):
-    """What the frames of a sensor have shown of a known body, by the estimator's own account."""
+    """Checks of a known body's pose by the frames of a sensor, as the estimator reports them."""
 
     in_place: Count = 0
     """Number of frames that show it where its pose says."""
@@ -174,7 +174,7 @@ class Innovation(Config):
 
 
 class IntegrityCount(Config):
-    """What the estimator said of the integrity of its estimates, held against the truth."""
+    """Integrity of the estimates as the estimator stated it, compared with the truth."""
 
     misleading: Count | None
     """Number of estimates with an error above its protection level while the state was nominal or caution;
@@ -321,9 +321,9 @@ class Summary(Config):
     estimates: EstimateCount
     """Numbers of frames and estimates."""
     inputs: dict[str, InputAccount] = Field(default_factory=dict)
-    """What became of the frames of each sensor at the estimator."""
+    """Frames by their outcome at the estimator, by sensor."""
     bodies: dict[str, dict[str, BodyAccount]] = Field(default_factory=dict)
-    """What the sensors' frames have shown of known bodies, by body, then by sensor."""
+    """Checks of known bodies by the sensors' frames, by body, then by sensor."""
     modes: Tracking
     """Shares of tracking."""
     error: ErrorSummary | None

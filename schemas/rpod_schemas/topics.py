@@ -19,7 +19,7 @@ SMALL_CACHE = 500
 
 
 class Endpoint(Protocol):
-    """What topics and services have in common: where they are in the key space."""
+    """A name in the key space: the common base of topics and services."""
 
     @property
     def name(self) -> str:
@@ -203,7 +203,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),
     **dict.fromkeys((DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name), ("service",)),
 }  # fmt: skip
-"""Who publishes a topic: the column "from" of the ICD's table, by the topic's name."""
+"""Publishers of each topic, by its name: the column "from" of the ICD's table."""
 
 OF_MANY: tuple[Topic, ...] = (TF, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS)
 """Topics that several services publish at the same time, each its own content."""

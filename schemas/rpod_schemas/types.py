@@ -253,7 +253,7 @@ class Joints(Model):
 
 
 class ImuReading(Stamped):
-    """What the chaser's IMU has measured, chaser axes; None where it does not measure it."""
+    """Measurement of the chaser's IMU, chaser axes; None for a quantity that it does not measure."""
 
     rate_rad_s: Annotated[Vector3, bounded(RATE_RAD_S)]
     """Rate relative to inertial space, shape (3,)."""

@@ -13,7 +13,7 @@ from rpod import __version__
 from rpod.doctor import bus as over_bus
 from rpod.doctor import host
 from rpod.doctor.finding import Finding, Level
-from rpod.resolved import resolve_facility
+from rpod.up.resolved import resolve_facility
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check
 from rpod_schemas.config.logger import LoggerConfig

@@ -35,7 +35,7 @@ class _Estimate(Config):
 
 @dataclass(frozen=True)
 class CheckOptions:
-    """What the command line gives of a sensor."""
+    """Properties of a sensor from the command line."""
 
     name: str
     kind: str | None

@@ -11,20 +11,20 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod.errors import RunError
-from rpod.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
+from rpod.up.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from rpod.up import Asked
+    from rpod.up.manager import Asked
 
 _POLL_S = 0.1
 
 
 def up_command(path: Path, *, as_json: bool) -> int:
     """Keep a facility up until a signal; return the exit code."""
-    from rpod.resolved import resolve_facility  # noqa: PLC0415 - 'ps' needs no service's configuration
-    from rpod.up import Asked, keep_up  # noqa: PLC0415 - as above
+    from rpod.up.manager import Asked, keep_up  # noqa: PLC0415 - as above
+    from rpod.up.resolved import resolve_facility  # noqa: PLC0415 - 'ps' needs no service's configuration
 
     configure_logging("up")
     asked = Asked()

@@ -11,7 +11,7 @@ from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.proxy import ProxiedLink, ProxyConfig
 from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
+from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig, TimeSource
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 
@@ -40,36 +40,12 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
     bus = BusConfig(connect=endpoint, wait=True, link=scenario.link)
     estimator_id = secrets.token_hex(8).lstrip("0") or "e"
     _check_faults(scenario, speed)
-    time_source: Literal["wall", "clock"] = "clock" if speed == "max" else "wall"
+    time_source: TimeSource = "clock" if speed == "max" else "wall"
     facility = Facility(
         router=RouterConfig(listen=endpoint, estimators=(estimator_id,), link=scenario.link),
         services={
-            "motion": MotionServiceConfig(
-                bus=bus,
-                target=scenario.target,
-                motion=scenario.motion,
-                duration_s=scenario.duration_s,
-                truth_error=scenario.truth_error,
-                seed=scenario.seed,
-                sensors=scenario.sensors,
-                await_start=True,
-                speed=speed,
-                lockstep=LockstepConfig(answered=tuple(sensor.name for sensor in scenario.estimator.sensors)),
-            ),
-            "emulator": EmulatorConfig(
-                bus=bus,
-                target=scenario.target,
-                sensors=scenario.sensors,
-                joints=scenario.motion.joints,
-                world=scenario.world,
-                surroundings=scenario.surroundings,
-                motion="truth/odometry" if scenario.truth_error is None else "motion/reference",
-                seed=scenario.seed,
-                publish_samples=scenario.publish_samples,
-                faults=tuple(fault for fault in scenario.faults if fault.kind.of_sensor),
-                await_start=True,
-                time_source=time_source,
-            ),
+            "motion": _motion(scenario, bus, speed),
+            "emulator": _emulator(scenario, bus, time_source),
             "estimator": EstimatorConfig(
                 bus=bus,
                 zenoh_id=estimator_id,
@@ -87,6 +63,38 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
         view=ViewConfig(bus=bus, target=scenario.target, truth="tf"),
     )
     return _with_proxy(facility, scenario)
+
+
+def _motion(scenario: Scenario, bus: BusConfig, speed: Speed) -> MotionServiceConfig:
+    return MotionServiceConfig(
+        bus=bus,
+        target=scenario.target,
+        motion=scenario.motion,
+        duration_s=scenario.duration_s,
+        truth_error=scenario.truth_error,
+        seed=scenario.seed,
+        sensors=scenario.sensors,
+        await_start=True,
+        speed=speed,
+        lockstep=LockstepConfig(answered=tuple(sensor.name for sensor in scenario.estimator.sensors)),
+    )
+
+
+def _emulator(scenario: Scenario, bus: BusConfig, time_source: TimeSource) -> EmulatorConfig:
+    return EmulatorConfig(
+        bus=bus,
+        target=scenario.target,
+        sensors=scenario.sensors,
+        joints=scenario.motion.joints,
+        world=scenario.world,
+        surroundings=scenario.surroundings,
+        motion="truth/odometry" if scenario.truth_error is None else "motion/reference",
+        seed=scenario.seed,
+        publish_samples=scenario.publish_samples,
+        faults=tuple(fault for fault in scenario.faults if fault.kind.of_sensor),
+        await_start=True,
+        time_source=time_source,
+    )
 
 
 def _check_faults(scenario: Scenario, speed: Speed) -> None:

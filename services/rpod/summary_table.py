@@ -18,9 +18,7 @@ def print_summary(summary: Summary, console: Console) -> None:
 
 def _rows(summary: Summary) -> list[tuple[str, str]]:
     estimates, modes = summary.estimates, summary.modes
-    missed = sum(frame.missed for frame in summary.frames.values())
-    published = sum(frame.published for frame in summary.frames.values())
-    rows = [
+    return [
         *_target_rows(summary),
         (
             "tracking",
@@ -49,7 +47,15 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             f"{estimates.accepted} accepted, {estimates.rejected} rejected, {estimates.dropped} dropped, "
             f"{estimates.unscored} unscored",
         ),
+        *_measured_rows(summary),
+        *((f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()),
+        _message_row(summary),
     ]
+
+
+def _measured_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return the rows of what is known of some runs only: times, consistency, handovers, integrity."""
+    rows = []
     if summary.latency_s:
         rows.append(
             (
@@ -71,9 +77,13 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         misleading = "-" if told.misleading is None else str(told.misleading)
         within = f"available {_percent(told.availability)}"
         rows.append(("integrity", f"{misleading} misleading, {told.alerts} alerts, {within}"))
-    rows += [(f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()]
-    rows.append(("messages", f"{published} published, {missed} missed by the log"))
     return rows
+
+
+def _message_row(summary: Summary) -> tuple[str, str]:
+    missed = sum(frame.missed for frame in summary.frames.values())
+    published = sum(frame.published for frame in summary.frames.values())
+    return "messages", f"{published} published, {missed} missed by the log"
 
 
 def _handover(handover: Handover) -> str:

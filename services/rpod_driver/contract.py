@@ -43,7 +43,7 @@ class DriverContract:
     duration_s: ClassVar[float] = 3.0
     """Time for which frames are watched, s."""
     options: ClassVar[Options] = Options()
-    """What is known of the sensor, as its nominal rate."""
+    """Declared properties of the sensor, such as its nominal rate."""
     expected: ClassVar[frozenset[str]] = frozenset()
     """Names of the lines that may fail, with a reason beside it; a recording cannot have stamps of now."""
 

@@ -21,16 +21,16 @@ class Adapter:
     name: str
     """Name; that of its entry point."""
     title: str
-    """What it connects, for lists."""
+    """Devices that it connects, for lists."""
     config: type[DriverConfig]
     """Its configuration: that of a driver, and a field ``device``."""
     build: str
     """Reference to ``(config) -> Driver``; it raises ``MissingSdkError`` where the device's library is not
     installed."""
     tested: str
-    """What it was tested with, as "without a device"."""
+    """Devices that it was tested with, or "without a device"."""
     needs: str = ""
-    """What has to be installed for it, as ``pip install 'rpod[ifm]'``; empty if nothing."""
+    """Command that installs its libraries, as ``pip install 'rpod[ifm]'``; empty if nothing."""
 
     def open(self, config: DriverConfig) -> Driver:
         """Return the driver; the device is not connected yet. Raises ``DriverError``."""

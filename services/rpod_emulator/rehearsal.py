@@ -26,7 +26,7 @@ class _Unheard:
 
 
 class _OffBus:
-    """What a sensor's publisher needs of a node, without a bus."""
+    """Node for a sensor's publisher, without a bus."""
 
     def __init__(self) -> None:
         self.clock, self.health = WallClock(), HealthBook("rehearsal")

@@ -44,7 +44,7 @@ class StampedInput(ABC, Generic[TrackT]):
     late_s: float
     """Longest wait for readings up to a frame's stamp, by the wall clock: they need a few milliseconds."""
     alarm: str
-    """What an operator has to know where readings of ``{topics}`` are missing."""
+    """Message for the operator where readings of ``{topics}`` are missing."""
     again: str
     """The log line when all are there again."""
 

@@ -1,7 +1,8 @@
 """Whether the newest estimate may be used now: a flag and an age that a robot cannot overlook.
 
 An estimate is valid while it is supported by measurements that are new, accepted and not contradicted. It is
-told with each estimate and between them by a thread, so that a main loop that is busy cannot hide it.
+told with each estimate and between them by a thread, so that a main loop that is busy cannot hide it. Its age
+counts in full while this process stands still, since the target moves on (decision 80).
 """
 
 import time

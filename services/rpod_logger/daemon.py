@@ -7,8 +7,8 @@ from functools import partial
 from threading import Event
 
 from rpod_logger.errors import CannotWriteError
-from rpod_logger.farewells import Farewells
 from rpod_logger.memory import keep_freed_memory
+from rpod_logger.publisher_ends import PublisherEnds
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
@@ -42,13 +42,11 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     os.environ.setdefault(*_ZENOH_THREADS)
     extras = Extras(config.bus.keys, config.record_extra)
     with Node(config, version=version, stop=stop) as node, ExitStack() as stack:
-        farewells = _follow_publishers(node)
+        ends = _follow_publishers(node)
         recorder = stack.enter_context(
-            Recorder(
-                config, version=version, health=node.health, account=node.account, endings=farewells.take
-            )
+            Recorder(config, version=version, health=node.health, account=node.account, endings=ends.take)
         )
-        services = Services(node, recorder, farewells)
+        services = Services(node, recorder, ends)
         recorder.know([node.status()])
         doing = _begin(recorder)
         node.health.watch(recorder.check)
@@ -59,25 +57,23 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
             manager.alive()
             recorder.tell_losses()
             services.ask_new()
-            farewells.judge(time.monotonic())
+            ends.judge(time.monotonic())
         services.conclude()
         if isinstance(stop, Stop) and stop.orphaned:
-            farewells.add_reason(
-                "the run was ended by a kill: its supervisor ended without stopping the logger"
-            )
+            ends.add_reason("the run was ended by a kill: its supervisor ended without stopping the logger")
 
 
-def _follow_publishers(node: Node) -> Farewells:
+def _follow_publishers(node: Node) -> PublisherEnds:
     wanted = patterns()
-    farewells = Farewells(
+    ends = PublisherEnds(
         lambda topic: any(pattern.covers(topic) for pattern in wanted), node.link, own=node.session_id
     )
 
     def gone(session: str, topic: Topic) -> None:
-        farewells.gone(session, topic, now_s=time.monotonic(), now_ns=time.time_ns())
+        ends.gone(session, topic, now_s=time.monotonic(), now_ns=time.time_ns())
 
-    node.watch_publishers(gone, farewells.came)
-    return farewells
+    node.watch_publishers(gone, ends.came)
+    return ends
 
 
 def _begin(recorder: Recorder) -> str:
@@ -95,14 +91,14 @@ class Services:
     knows how many messages were published until the close.
     """
 
-    def __init__(self, node: Node, recorder: Recorder, farewells: Farewells) -> None:
-        self._node, self._recorder, self._farewells = node, recorder, farewells
+    def __init__(self, node: Node, recorder: Recorder, ends: PublisherEnds) -> None:
+        self._node, self._recorder, self._ends = node, recorder, ends
         self._hearts: dict[bytes, None] = {}
         self._new = Event()
 
     def notice(self, received: Received) -> None:
         """Look at a message: for the first heartbeat of a service, and for the last numbers of publishers."""
-        self._farewells.hear(received)
+        self._ends.hear(received)
         if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
             self._hearts[received.attachment.gid] = None
             if len(self._hearts) > _MOST_HEARTS:
@@ -119,18 +115,18 @@ class Services:
         """Ask all services."""
         statuses = self._node.ask_all("status", StatusReply, timeout_s=timeout_s)
         self._recorder.know(statuses)
-        self._farewells.confirm(statuses, now_s=time.monotonic())
+        self._ends.confirm(statuses, now_s=time.monotonic())
 
     def conclude(self) -> None:
         """Ask all services before a file is closed, and wait until what they published has arrived."""
         begin_s = time.monotonic()
         self.ask(_CLOSE_S)
-        self._farewells.judge(time.monotonic())
+        self._ends.judge(time.monotonic())
         clock = AwakeClock(2.0 * _POLL_S)
-        while self._farewells.is_open(begin_s) and clock.now_s() < _CLOSE_S:
+        while self._ends.is_open(begin_s) and clock.now_s() < _CLOSE_S:
             time.sleep(_POLL_S)
-            self._farewells.judge(time.monotonic())
-        self._farewells.conclude(begin_s)
+            self._ends.judge(time.monotonic())
+        self._ends.conclude(begin_s)
 
 
 def _subscribe(node: Node, recorder: Recorder, services: Services, extras: Extras) -> None:

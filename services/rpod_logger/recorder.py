@@ -17,7 +17,7 @@ from pydantic import BaseModel
 
 from rpod_logger.backlog import Backlog, Command
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
-from rpod_logger.farewells import Endings
+from rpod_logger.publisher_ends import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log, signing_key
 from rpod_runtime import Received

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from itertools import chain
 from typing import Self
 
-from rpod_logger.farewells import Endings
+from rpod_logger.publisher_ends import Endings
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
 from rpod_runtime.accounting import FARTHEST, Publication

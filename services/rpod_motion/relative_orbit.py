@@ -84,11 +84,6 @@ class MeanOrbit:
             self.mean_motion_rad_s + strength * shape * (3.0 * c**2 - 1.0),
         )
 
-    @property
-    def latitude_rate_rad_s(self) -> float:
-        """Mean rate of the argument of latitude; one revolution of it is one relative orbit."""
-        return self.rates_rad_s[1] + self.rates_rad_s[2]
-
     def state(self, time_s: float) -> OrbitState:
         """Return position and its exact derivative at a time from the epoch."""
         a, e, inclination = self.semi_major_axis_m, self.eccentricity, self.inclination_rad

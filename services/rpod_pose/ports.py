@@ -62,7 +62,8 @@ class ErrorParts:
     def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:
         """Return the parts of a pose with no other lasting errors than those of the target's model.
 
-        Of a scan, each ray meets another place in the next one: how it is sampled is new each time.
+        Such as those of a scan: in the next scan each ray meets another place, so that the errors by sampling
+        are new.
         """
         return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)
 

@@ -9,7 +9,7 @@ MBIT = 125_000.0
 
 @dataclass(frozen=True)
 class Condition:
-    """What happens to the bytes on a link."""
+    """Delay, loss and limits of a link."""
 
     delay_s: float = 0.0
     """Time that each byte takes longer, s, in each direction."""

@@ -46,7 +46,7 @@ class Delivery:
         """Zenoh identity of the session of each publisher, by gid."""
         self._forgets = False
         self.flow = Flow()
-        """What arrives of bulky topics; what was fetched from a cache does not count."""
+        """Rate and age of messages of bulky topics; messages from a cache do not count."""
 
     def take(self, topic: Topic, sample: zenoh.Sample, sink: Sink) -> None:
         """Deliver a message of a topic or of a pattern, unless it is a duplicate or unusable."""

@@ -15,7 +15,7 @@ _MOST_FAULTS = 500
 
 
 class Publishes(Protocol):
-    """What the book needs of a node."""
+    """Part of a node that the book needs."""
 
     def publisher(self, topic: Topic) -> Publisher:
         """Declare a publisher."""

@@ -4,7 +4,8 @@ The first publisher of a valid message holds the topic until its liveliness toke
 Then the next one that sends a valid message holds it. Content that is published once (a mount, an info) is
 kept for each publisher, because it does not come again when its publisher becomes the holder.
 
-The module knows no bus and no clock; times are seconds of one monotonic clock. Its memory is bounded.
+The module knows no bus and no clock; times are those of the messages' arrival, s, which a log has too, so
+that a replay finds the same holders (decision 80). Its memory is bounded.
 """
 
 from collections import deque

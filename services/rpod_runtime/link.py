@@ -52,8 +52,6 @@ class Link:
         self._lock = Lock()
         self._routers: set[str] = set()
         self._outages: list[Outage] = []
-        self.regained_s = float("-inf")
-        """Time at which the link was last regained, monotonic clock."""
 
     def watch(self, session: zenoh.Session) -> Callable[[], None]:
         """Watch an open session; returns the function that ends it."""
@@ -109,5 +107,4 @@ class Link:
         if not self._outages or self._outages[-1].end_ns is not None:
             return None
         self._outages[-1] = replace(self._outages[-1], end_ns=now_ns)
-        self.regained_s = time.monotonic()
         return self._outages[-1]

@@ -84,7 +84,7 @@ class Node(Asker):
         self._entities = 0
         self._publishers: list[Publisher] = []
         self.parameters = Parameters({})
-        """What ROS 2 tools see as the node's parameters, where the configuration does not leave them out."""
+        """The node's parameters for ROS 2 tools, unless the configuration leaves them out."""
         self._clock_sinks: list[Callable[[Received], None]] = []
         self._stack = ExitStack()
 

@@ -1,7 +1,8 @@
 """A process in reserve: warm, but not on the bus until the process that it stands for has ended.
 
 ``rpod up`` starts it like the service, with ``$RPOD_RESERVE`` set. It reads its configuration, imports, warms
-up, and waits before it opens its node. Its turn has come when the keeper writes to its standard input.
+up, and waits before it opens its node. Its turn has come when the service manager writes to its standard
+input.
 """
 
 import logging
@@ -14,7 +15,7 @@ from rpod_runtime.notify import manager
 log = logging.getLogger(__name__)
 
 RESERVE = "RPOD_RESERVE"
-"""Environment variable that the keeper sets for a process in reserve."""
+"""Environment variable that the service manager sets for a process in reserve."""
 _POLL_S = 0.25
 """Longest time until a process in reserve notices that it is to stop."""
 

@@ -46,18 +46,13 @@ def member_of(name: str, role: str, config: ServiceConfig | None = None) -> Memb
     return Member(name, role, sensors, prefix, extra)
 
 
-def read_rules(file: Path) -> Rules:
-    """Return the rules of a file of members; paths in it are relative to it.
+def rules_of(rights: RightsConfig, folder: Path, *, source: str) -> Rules:
+    """Return the rules of members; paths are relative to ``folder``, ``source`` is for messages.
 
     Raises:
-        ConfigurationError: the file, or a configuration that it names, is wrong.
+        ConfigurationError: a member, or the configuration that it names, is wrong.
         RulesError: two members would publish the same.
     """
-    return rules_of(load(RightsConfig, file), file.parent, source=str(file))
-
-
-def rules_of(rights: RightsConfig, folder: Path, *, source: str) -> Rules:
-    """Return the rules of members; paths are relative to ``folder``. Raises as ``read_rules``."""
     members = [
         _member(name, member, rights, folder, source=f"{source}: members.{name}")
         for name, member in rights.members.items()

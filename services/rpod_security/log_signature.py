@@ -66,7 +66,7 @@ class Signatory:
             return False
         return True
 
-    def doubt(self, authority: Path, *, when: datetime) -> str:
+    def rejection(self, authority: Path, *, when: datetime) -> str:
         """Return why the certificate was not that of a logger of an authority at a time; empty if it was.
 
         Args:

@@ -45,13 +45,13 @@ class _Seal(Config):
 
 @dataclass
 class Verdict:
-    """What came of the comparison."""
+    """Result of the comparison."""
 
     log: Path
     problems: list[str] = field(default_factory=list)
-    """What is not as it was written; nothing if the log is intact."""
+    """Differences from the log as it was written; none if it is intact."""
     notes: list[str] = field(default_factory=list)
-    """What the comparison does not cover."""
+    """Limits of the comparison: contents that it does not cover."""
     verified_bytes: int = 0
     """Bytes of the log, from its beginning, that are as they were written."""
     closed: bool = False
@@ -161,8 +161,8 @@ class _Check:
         verdict.signed_by = self._signatory.identity.common_name
         if self._authority is None:
             verdict.notes.append("whose certificate that is was not checked: give the authority's")
-        elif doubt := self._signatory.doubt(self._authority, when=head.time.astimezone(UTC)):
-            verdict.problems.append(doubt)
+        elif reason := self._signatory.rejection(self._authority, when=head.time.astimezone(UTC)):
+            verdict.problems.append(reason)
 
     def _compare(self, stream: IO[bytes]) -> _Seal | None:
         """Compare the log's bytes with the chain; return the last line about them."""

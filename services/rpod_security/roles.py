@@ -1,7 +1,7 @@
 """Rights of each role, from the interface control document: what it may publish, read, serve and ask.
 
-Who publishes a topic is the column "from" of the ICD's table (``rpod_schemas.topics.SENT_BY``). Who reads it,
-and who asks what of whom, is here.
+The publishers of a topic are the column "from" of the ICD's table (``rpod_schemas.topics.SENT_BY``). Its
+readers, and the queries between roles, stand here.
 """
 
 from collections.abc import Mapping

@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
+from due_frames import due_frames
 from facility_process import FacilityProcess, Finished
 from logs import messages_of, read_closed
 from mcap.reader import make_reader
@@ -19,7 +20,6 @@ from rpod_analysis.log import open_log
 from rpod_schemas.cdr import decode, encode
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.replay import ReplayReport
-from rpod_schemas.schedule import due_frames
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import (
     CLOCK,

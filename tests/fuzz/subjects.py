@@ -16,7 +16,7 @@ from fuzz.seeds import TOPICS, messages
 from pydantic import BaseModel, ValidationError
 
 from rpod_estimator.frame_reader import FrameReader
-from rpod_logger.farewells import Farewells
+from rpod_logger.publisher_ends import PublisherEnds
 from rpod_runtime import Received
 from rpod_runtime.accounting import DuplicateError, JumpError, SequenceAccount
 from rpod_runtime.frames import PartRejectedError
@@ -205,15 +205,15 @@ def _make_heartbeat(rnd: Random) -> bytes:
 
 
 def _read_heartbeat(data: bytes) -> bool:
-    farewells = Farewells(lambda _: True, Link(HealthBook("logger"), ""), own="")
-    farewells.came("s", DIAGNOSTICS)
-    farewells.hear(
+    ends = PublisherEnds(lambda _: True, Link(HealthBook("logger"), ""), own="")
+    ends.came("s", DIAGNOSTICS)
+    ends.hear(
         Received(DIAGNOSTICS, "k", memoryview(data), Attachment(1, 0, bytes(GID_BYTES)), 0, session="s")
     )
-    farewells.gone("s", DIAGNOSTICS, now_s=1.0, now_ns=10**9)
+    ends.gone("s", DIAGNOSTICS, now_s=1.0, now_ns=10**9)
     for now_s in (8.0, 8.9, 9.8):  # within less than a second of each other: the process did not stand still
-        farewells.judge(now_s)
-    return bool(farewells.take(0).reasons)
+        ends.judge(now_s)
+    return bool(ends.take(0).reasons)
 
 
 # --- attachments, tokens, sequences ---

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from uuid import uuid4
 
 import pytest
+from due_frames import due_frames
 from live_bus import TIMEOUT_S, daemon
 
 from rpod_emulator.daemon import run as run_emulator
@@ -29,7 +30,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status
 from rpod_schemas.poses import make_pose
-from rpod_schemas.schedule import due_frames, lockstep_steps
+from rpod_schemas.schedule import lockstep_steps
 from rpod_schemas.topics import DEPTH, DIAGNOSTICS, PARAMETER_EVENTS, POINTS, ROSOUT, STATUS
 from rpod_schemas.types import Camera, EstimatorStatus
 

@@ -3,10 +3,10 @@
 import pytest
 import yaml
 
-from rpod.daemon import Backoff
 from rpod.errors import AlreadyUpError
-from rpod.host_state import FacilityStatus, held, holder, read_status, write_status
-from rpod.resolved import resolve_facility
+from rpod.up.daemon import Backoff
+from rpod.up.host_state import FacilityStatus, held, holder, read_status, write_status
+from rpod.up.resolved import resolve_facility
 from rpod_schemas.config.facility import BackoffConfig
 from rpod_schemas.errors import ConfigurationError
 

@@ -1,4 +1,4 @@
-"""Processes in reserve, and how the keeper treats them."""
+"""Processes in reserve, and how the service manager treats them."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ from threading import Event
 import pytest
 from pydantic import ValidationError
 
-from rpod.reserve import AFTER_S, PAUSE_S, Reserve
+from rpod.up.reserve import AFTER_S, PAUSE_S, Reserve
 from rpod_runtime import reserve as waiting
 from rpod_runtime.errors import NotNeededError
 from rpod_runtime.notify import manager
@@ -24,8 +24,8 @@ def _in_reserve(monkeypatch):
 
 
 @pytest.fixture
-def keeper():
-    """A reserve, and how often it was started; what is left of it ends with the test."""
+def starts():
+    """Function that starts a process, and what it started; what is left of it ends with the test."""
     started = []
 
     def spawn(program=READER):
@@ -38,15 +38,15 @@ def keeper():
         process.wait()
 
 
-def test_a_reserve_starts_when_its_service_has_worked_for_a_while_and_is_called_by_its_input(keeper):
-    spawn, started = keeper
+def test_a_reserve_starts_when_its_service_has_worked_for_a_while_and_is_called_by_its_input(starts):
+    spawn, started = starts
     reserve = Reserve("estimator", spawn)
-    reserve.tend(AFTER_S / 2.0)
+    reserve.update(AFTER_S / 2.0)
     assert (reserve.state, started) == ("none", [])
     assert reserve.take() is None
 
-    reserve.tend(AFTER_S)
-    reserve.tend(AFTER_S)
+    reserve.update(AFTER_S)
+    reserve.update(AFTER_S)
     assert (reserve.state, reserve.pid, len(started)) == ("starting", started[0].pid, 1)
     reserve.warm()
     assert reserve.state == "ready"
@@ -55,21 +55,21 @@ def test_a_reserve_starts_when_its_service_has_worked_for_a_while_and_is_called_
     assert reserve.state == "none"
 
 
-def test_a_reserve_that_is_not_needed_ends_and_one_that_fails_is_not_tried_again_at_once(keeper, monkeypatch):
-    spawn, started = keeper
+def test_a_reserve_that_is_not_needed_ends_and_one_that_fails_is_not_tried_again_at_once(starts, monkeypatch):
+    spawn, started = starts
     reserve = Reserve("estimator", spawn)
-    reserve.tend(AFTER_S)
+    reserve.update(AFTER_S)
     reserve.drop()
     assert started[0].returncode is not None
 
     failing = Reserve("estimator", lambda: spawn(ENDS))
-    failing.tend(AFTER_S)
+    failing.update(AFTER_S)
     started[1].wait(20.0)
     for _ in range(3):
-        failing.tend(AFTER_S)
+        failing.update(AFTER_S)
     assert len(started) == 2
-    monkeypatch.setattr("rpod.reserve.time.monotonic", lambda now_s=failing._due_s: now_s + PAUSE_S)
-    failing.tend(AFTER_S)
+    monkeypatch.setattr("rpod.up.reserve.time.monotonic", lambda now_s=failing._due_s: now_s + PAUSE_S)
+    failing.update(AFTER_S)
     assert len(started) == 3
 
 

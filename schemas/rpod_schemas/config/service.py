@@ -15,6 +15,7 @@ ESTIMATOR_ID = "e57a7e"
 
 
 LogLevel = Literal["debug", "info", "warning", "error"]
+TimeSource = Literal["wall", "clock"]
 
 
 def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
@@ -72,7 +73,7 @@ class ServiceConfig(Config):
     """Zenoh identity by which the router's access rules know this client; random if empty."""
     log_level: Annotated[LogLevel, LIVE] = "info"
     """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
-    time_source: Literal["wall", "clock"] = "wall"
+    time_source: TimeSource = "wall"
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
 

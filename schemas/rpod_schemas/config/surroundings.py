@@ -56,7 +56,7 @@ Thing = Annotated[BoxThing | CylinderThing | MeshThing, Field(discriminator="kin
 
 
 class SensorSurroundings(Config):
-    """What is known of a sensor's surroundings."""
+    """Known surroundings of a sensor."""
 
     range_gate_m: tuple[NonNegative, Positive] | None = None
     """Least and greatest range that may be the target's, m."""
@@ -89,6 +89,6 @@ class KnownSurroundings(Config):
     """A file of what is known of the sensors' surroundings, which the estimator takes."""
 
     sensors: dict[Name, SensorSurroundings] = Field(default_factory=dict)
-    """What is known, by the sensor's name."""
+    """Known surroundings, by the sensor's name."""
     bodies: dict[Name, KnownBody] = Field(default_factory=dict)
     """Bodies that all sensors may see, by name."""

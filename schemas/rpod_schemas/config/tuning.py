@@ -6,13 +6,10 @@ states the source of its default. Values of the source ``campaign`` are written 
 limits from a population of targets and worlds; their note names campaign, seeds, quantile and margin.
 """
 
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_origin, get_type_hints
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from rpod_schemas.config.base import Config
 
@@ -96,24 +93,6 @@ class Tuning(Config):
     """
 
 
-class TuningValue(NamedTuple):
-    """A leaf of a tuning model."""
-
-    path: str
-    """Names of the fields that lead to the value, separated by dots."""
-    provenance: Provenance | None
-    """Source of the default; None if no field on the path states one."""
-
-
-def public_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return all leaves of a configuration model by name, those of ``Tuning`` models left out.
-
-    A leaf is a field whose type holds no model. The fields of a model in a tuple count once. For a field that
-    takes one of several models, the leaves of its default model count.
-    """
-    return {path: field for path, field, _ in _leaves(model, given=None, tuning=False)}
-
-
 class LimitField(NamedTuple):
     """A limit in a configuration."""
 
@@ -142,33 +121,6 @@ def limits_in(config: BaseModel) -> list[LimitField]:
     return found
 
 
-def tuning_values(model: type[BaseModel]) -> list[TuningValue]:
-    """Return every leaf of a tuning model with its provenance, or that of the field around it."""
-    return [TuningValue(path, provenance) for path, _, provenance in _leaves(model, given=None, tuning=True)]
-
-
-def sources(values: list[TuningValue]) -> Counter[str]:
-    """Return the number of values of each source; those without one count as ``none``."""
-    return Counter(value.provenance.source if value.provenance else "none" for value in values)
-
-
-def _leaves(
-    model: type[BaseModel], *, given: Provenance | None, tuning: bool
-) -> Iterator[tuple[str, FieldInfo, Provenance | None]]:
-    hints = get_type_hints(model, include_extras=True)
-    for name, field in model.model_fields.items():
-        provenance = provenance_of(hints[name]) or given
-        default = field.get_default(call_default_factory=True, validated_data={})
-        chosen = isinstance(default, BaseModel)
-        nested = [type(default)] if chosen else list(dict.fromkeys(models_in(hints[name])))
-        if not nested:
-            yield name, field, provenance
-        for inner in nested:
-            if tuning or not issubclass(inner, Tuning):
-                for path, leaf, found in _leaves(inner, given=provenance, tuning=tuning):
-                    yield f"{name}.{path}", leaf, found
-
-
 def provenance_of(annotation: Any) -> Provenance | None:
     """Return the provenance in a field's annotation, None if there is none."""
     return _mark(annotation, Provenance)
@@ -179,13 +131,3 @@ def _mark(annotation: Any, kind: type[MarkT]) -> MarkT | None:
     if get_origin(annotation) is not Annotated:
         return None
     return next((item for item in annotation.__metadata__ if isinstance(item, kind)), None)
-
-
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the configuration models that a field's annotation names, those in tuples and unions too."""
-    if isinstance(annotation, type) and get_origin(annotation) is None and issubclass(annotation, BaseModel):
-        yield annotation
-        return
-    arguments = get_args(annotation)
-    for argument in arguments[:1] if get_origin(annotation) is Annotated else arguments:
-        yield from models_in(argument)

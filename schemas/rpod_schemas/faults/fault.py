@@ -1,14 +1,14 @@
-"""What a fault is: a kind of failure that can be injected, with its size."""
+"""Faults: kinds of failures that can be injected, each with its size."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Evidence = Literal["rate", "truth", "plane", "info"]
-"""What a fault is only seen with: the sensor's nominal rate; truth, mount and target model; a plane in view,
-or truth; the sensor's info message."""
+"""Information without which a fault cannot be seen: the sensor's nominal rate; truth, mount and target model;
+a plane in view, or truth; the sensor's info message."""
 Subject = Literal["messages", "scene", "link", "process", "disk"]
-"""What has the fault: a sensor's messages, what a sensor sees, a service's link to the router, its process,
-or the logger's disk."""
+"""Part that has the fault: a sensor's messages, the scene that it sees, a service's link to the router, its
+process, or the logger's disk."""
 BOTH = ("pmd", "lidar")
 
 
@@ -49,7 +49,7 @@ class Fault:
     from_start: bool = False
     """Whether it can only be injected from the start of the sensor."""
     subject: Subject = "messages"
-    """What has the fault."""
+    """Part of the facility that has the fault."""
     size: Size | None = None
     """Sizes that can be asked for; None for a fault of one size."""
 

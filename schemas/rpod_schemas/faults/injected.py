@@ -30,7 +30,7 @@ class InjectedFault:
 
     @property
     def identity(self) -> tuple[str, str, int]:
-        """What stays the same when its end becomes known."""
+        """Identity of the fault, which stays the same when its end becomes known."""
         return self.fault, self.where, self.begin_ns
 
 

@@ -8,7 +8,6 @@ from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import resolve
 from rpod_schemas.topics import Topic
-from rpod_schemas.types import Source
 
 Role = Literal["acquisition", "tracking"]
 """Role of a method: to find the target without a guess, or to track it from a predicted pose."""
@@ -58,8 +57,6 @@ class SensorKind:
     """Latched message in which the sensor describes itself."""
     extras: tuple[Topic, ...] = ()
     """Topics that are recorded but belong to no frame."""
-    sources: tuple[Source, ...] = (Source.OTHER,)
-    """Sources that its methods may state in the estimator's status."""
 
     @property
     def leading(self) -> Topic:

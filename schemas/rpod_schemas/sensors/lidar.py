@@ -6,14 +6,12 @@ from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, Templat
 from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import LIDAR_INFO, POINTS
-from rpod_schemas.types import Source
 
 LIDAR = SensorKind(
     name="lidar",
     title="LIDAR",
     parts={"points": Part(POINTS)},
     info=LIDAR_INFO,
-    sources=(Source.LIDAR,),
     emulated=LidarConfig,
     heard=LidarInput,
     reader="rpod_runtime.frames:LidarReader",

@@ -8,7 +8,6 @@ from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedD
 from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, DEPTH_SIGMA, PHASE, PMD_INFO
-from rpod_schemas.types import Source
 
 PMD = SensorKind(
     name="pmd",
@@ -20,7 +19,6 @@ PMD = SensorKind(
     },
     info=PMD_INFO,
     extras=(PHASE, DEPTH_SIGMA),
-    sources=(Source.PMD_DEPTH, Source.PMD_AMPLITUDE, Source.PMD_JOINT),
     emulated=PmdConfig,
     heard=PmdInput,
     reader="rpod_runtime.frames:PmdReader",

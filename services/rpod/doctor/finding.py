@@ -25,9 +25,9 @@ class Finding:
     """One line of the doctor."""
 
     check: str
-    """What was looked at."""
+    """Subject of the check."""
     level: Level
     text: str
-    """What was found, with figures."""
+    """Result, with figures."""
     remedy: str = ""
-    """What to do; empty if nothing."""
+    """Remedy; empty if none is needed."""

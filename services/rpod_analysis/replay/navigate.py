@@ -133,8 +133,7 @@ def replay(
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
     span_ns = _span_ns(log, start_s=start_s, end_s=end_s)
     told = LoggedResets.of(log, status_topic)
-    resets = [reset for reset in told.resets if span_ns[0] is None or reset.told_ns >= span_ns[0]]
-    feed = _Feed(estimator, frames, inputs, recorded, resets=resets)
+    feed = _Feed(estimator, frames, inputs, recorded, resets=told.since(span_ns[0]))
     try:
         with EstimateLog(new, log, config, target) as written:
             for logged in _relevant(log, intake, old, span_ns):

@@ -67,6 +67,10 @@ class LoggedResets:
                 told_ns = logged.log_ns
         return cls(tuple(found), unknown)
 
+    def since(self, begin_ns: int | None) -> list[LoggedReset]:
+        """Return the resets that were told at a time of arrival or later; all of them if it is None."""
+        return [reset for reset in self.resets if begin_ns is None or reset.told_ns >= begin_ns]
+
 
 def _read(log: Log, logged: Logged) -> list[Diagnostic]:
     with log.unreadable.left_out(logged):

@@ -12,6 +12,13 @@ from rpod_analysis.report.plot_data import PlotData
 from rpod_schemas.arrays import FloatArray
 
 _AXES = "xyz"
+_GRID = {
+    "gridcolor": "#c5ccd3",
+    "showbackground": False,
+    "zeroline": False,
+    "showline": True,
+    "linecolor": QUIET,
+}
 _CAMERA = {"eye": {"x": 1.5, "y": 1.5, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
 
 
@@ -37,7 +44,6 @@ def path_figure(plot_data: PlotData) -> go.Figure | None:
     )
     everything = np.concatenate([rows for _, rows, _ in known])
     first, second, third = _by_extent(everything)
-    ranges = _ranges(everything)
     for name, rows, line in known:
         x, y, z = rows.T
         figure.add_trace(
@@ -50,26 +56,7 @@ def path_figure(plot_data: PlotData) -> go.Figure | None:
         for row, across in ((1, second), (2, third)):
             _projection(figure, rows, (first, across), line, row=row, name=name)
     _ends(figure, known[-1][1], (first, second, third))
-    title: dict[str, Any] = {
-        f"{axis}axis": {"title": {"text": f"{axis} [m]"}, "range": ranges[index]}
-        for index, axis in enumerate(_AXES)
-    }
-    grid = {
-        "gridcolor": "#c5ccd3",
-        "showbackground": False,
-        "zeroline": False,
-        "showline": True,
-        "linecolor": QUIET,
-    }
-    figure.update_scenes(
-        **{name: axis | grid for name, axis in title.items()},
-        aspectmode="cube",
-        dragmode="turntable",
-        camera=_CAMERA,
-    )
-    for row, across in ((1, second), (2, third)):
-        figure.update_xaxes(title_text=f"{_AXES[first]} [m]", range=ranges[first], row=row, col=2)
-        figure.update_yaxes(title_text=f"{_AXES[across]} [m]", range=ranges[across], row=row, col=2)
+    _label_axes(figure, _ranges(everything), (first, second, third))
     figure.update_layout(legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0})
     return styled(figure, height=520, top=34, legend=True)
 
@@ -104,6 +91,18 @@ def _projection(
         ),
         row=row, col=2,
     )  # fmt: skip
+
+
+def _label_axes(figure: go.Figure, ranges: list[list[float]], axes: tuple[int, int, int]) -> None:
+    """Name the axes of the scene and of both projections, with the same limits in all of them."""
+    scene: dict[str, Any] = {
+        f"{axis}axis": {"title": {"text": f"{axis} [m]"}, "range": ranges[index]} | _GRID
+        for index, axis in enumerate(_AXES)
+    }
+    figure.update_scenes(**scene, aspectmode="cube", dragmode="turntable", camera=_CAMERA)
+    for row, across in ((1, axes[1]), (2, axes[2])):
+        figure.update_xaxes(title_text=f"{_AXES[axes[0]]} [m]", range=ranges[axes[0]], row=row, col=2)
+        figure.update_yaxes(title_text=f"{_AXES[across]} [m]", range=ranges[across], row=row, col=2)
 
 
 def _ends(figure: go.Figure, rows: FloatArray, axes: tuple[int, int, int]) -> None:

@@ -1,4 +1,4 @@
-"""What navigation did while a fault was injected: modes, times to LOST and back, wrong estimates."""
+"""Scores of the navigation while a fault was injected: modes, times to LOST and back, wrong estimates."""
 
 from collections import Counter
 from collections.abc import Iterable

@@ -19,7 +19,7 @@ _USABLE = [state.value for state in IntegrityState if state.is_usable]
 
 @dataclass(frozen=True, eq=False)
 class Integrities:
-    """What the estimator said of the integrity of N results, in the order of their stamps."""
+    """Integrity of N results as the estimator stated it, in the order of their stamps."""
 
     stamp_ns: IntArray
     state: IntArray

@@ -1,4 +1,4 @@
-"""What rpod makes of a target: size, symmetries, mass, edges, accuracy, methods; and a page of it."""
+"""Check of a target: size, symmetries, mass, edges, accuracy, methods; and a page of it."""
 
 from rpod_analysis.target_check.check import TargetCheck, check_target
 from rpod_analysis.target_check.likeness import judged_symmetries

@@ -35,7 +35,7 @@ _UNSEEN = 1e-9
 
 @dataclass(frozen=True)
 class RangeAccuracy:
-    """What one frame of a sensor tells at one range; medians over attitudes."""
+    """Accuracy of one frame of a sensor at one range; medians over attitudes."""
 
     range_m: float
     points: int
@@ -48,7 +48,7 @@ class RangeAccuracy:
 
 @dataclass(frozen=True)
 class SensorAccuracy:
-    """What frames of a sensor tell, by range."""
+    """Accuracy of a sensor's frames, by range."""
 
     sensor: str
     ranges: tuple[RangeAccuracy, ...]

@@ -1,4 +1,4 @@
-"""What rpod makes of a target, as numbers."""
+"""Check of a target: its properties and how well methods work on it, as numbers."""
 
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -37,7 +37,7 @@ class Condition:
     """A pose of the target, the sun, and a prediction for trackers."""
 
     name: str
-    """What decides the range: "30 returns", "20 % filled"."""
+    """Condition that determines the range: "30 returns", "20 % filled"."""
     T_sensor_target: RigidTransform
     sun_W_m2: FloatArray
     """Unit vector to the sun times its irradiance, sensor axes, shape (3,); the sun is behind the sensor."""

@@ -78,11 +78,11 @@ def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What a sensor measures in one emulated frame."""
+    """Measurements of one emulated frame of a sensor."""
 
     condition: Condition
     look: "_Look"
-    """What its rays meet."""
+    """Surfaces that its rays meet."""
     measured: int
     """Number of rays with a range."""
     sigma_m: float
@@ -175,7 +175,7 @@ def _turn(rotation: Rotation, one: FoundSymmetry) -> RigidTransform:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What the rays of a sensor meet."""
+    """Surfaces that the rays of a sensor meet."""
 
     range_m: FloatArray
     """Range of each ray, shape (rows, columns); inf without a hit."""

@@ -37,7 +37,7 @@ Result = Literal["right", "ambiguous", "refused", "wrong", "unseen"]
 
 @dataclass(frozen=True)
 class Tally:
-    """What a method said of some frames."""
+    """Answers of a method to some frames."""
 
     condition: str
     """Condition of the frames, such as "30 returns"."""
@@ -64,7 +64,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class MethodFacts:
-    """What a method with its default configuration makes of the target."""
+    """Results of a method with its default configuration on the target."""
 
     sensor: str
     role: str

@@ -6,8 +6,8 @@ from rpod_campaign.faults.matrix import BY_FAULT, can_have
 from rpod_campaign.faults.options import Options
 from rpod_campaign.faults.report import sections, summarise
 from rpod_campaign.faults.trial import FRAME, FaultCell
-from rpod_campaign.integrity.campaign import document_of
 from rpod_campaign.lidar.cells import targets
+from rpod_campaign.sequences.cells import document_of
 from rpod_schemas.errors import ConfigurationError
 
 
@@ -24,7 +24,7 @@ def cells(options: Options) -> list[FaultCell]:
             target=target,
             sensor=sensor,
             world=world,
-            document="" if sensor == "lidar" else document_of(options.scenarios, target, world),
+            document=document_of(options.scenarios, sensor, target, world),
         )
         for target in targets(options.target)
         for sensor in options.sensor

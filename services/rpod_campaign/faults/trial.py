@@ -13,9 +13,9 @@ import polars as pl
 
 from rpod_campaign.engine.trial.poses import errors
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, Shown, lidar_of
-from rpod_campaign.integrity.trial import settings_of
 from rpod_campaign.pmd.scene import camera_of, scenario_of
+from rpod_campaign.sequences.course import EPOCH_S, Course, Shown, fault_start_s, lidar_of
+from rpod_campaign.sequences.settings import settings_of
 from rpod_emulator.faults import Faults, FaultyNode
 from rpod_estimator.estimator import Estimator
 from rpod_estimator.frame_reader import Arrived, FrameReader
@@ -62,22 +62,17 @@ class FaultCell:
     """JSON of the camera's scenario; empty for the LIDAR."""
 
     @property
-    def course(self) -> IntegrityCell:
-        """The sequence of the campaign ``integrity`` without a fault, of the same sensor."""
-        return IntegrityCell("none", 0.0, self.target, self.sensor, self.world, self.document)
-
-    @property
     def start_s(self) -> float:
-        """Begin of the fault in the sequence, s; a LIDAR's lasts ten times as long, since it has 1 Hz."""
-        return 15.0 if self.sensor == "lidar" else 3.0
+        """Begin of the fault in the sequence, s."""
+        return fault_start_s(self.sensor)
 
     @property
     def end_s(self) -> float:
-        """End of the fault in the sequence, s."""
+        """End of the fault in the sequence, s; a LIDAR's lasts ten times as long, since it has 1 Hz."""
         return self.start_s + (10.0 * self.lasts_s if self.sensor == "lidar" else self.lasts_s)
 
 
-class _Tape:
+class _RecordingNode:
     """A node that keeps the messages of one frame."""
 
     def __init__(self) -> None:
@@ -86,14 +81,14 @@ class _Tape:
         self.now = 0
 
     @property
-    def clock(self) -> "_Tape":
+    def clock(self) -> "_RecordingNode":
         return self
 
     def now_ns(self) -> int:
         return self.now
 
-    def publisher(self, topic: Topic) -> "_Mouth":
-        return _Mouth(self, topic)
+    def publisher(self, topic: Topic) -> "_Publisher":
+        return _Publisher(self, topic)
 
     def put(self, topic: Topic, message: Any) -> None:
         self._sequence += 1
@@ -107,12 +102,12 @@ class _Tape:
 
 
 @dataclass(frozen=True)
-class _Mouth:
-    tape: _Tape
+class _Publisher:
+    node: _RecordingNode
     topic: Topic
 
     def publish(self, message: Any) -> None:
-        self.tape.put(self.topic, message)
+        self.node.put(self.topic, message)
 
     def lose(self) -> None:
         """Lose a message."""
@@ -122,29 +117,29 @@ class _Sensor:
     """The sensor of a trial: its frames as messages, with the fault."""
 
     def __init__(self, cell: FaultCell, seed: int, first: Shown) -> None:
-        self._tape, self._cell = _Tape(), cell
-        self._tape.now = round(EPOCH_S * NANOSECONDS)
+        self._node, self._cell = _RecordingNode(), cell
+        self._node.now = round(EPOCH_S * NANOSECONDS)
         config = _sensor_config(cell)
         emulator = EmulatorConfig(target=cell.target, sensors=(config,), faults=_planned(cell))
         faults = Faults.of(emulator)
         faults.begin(emulator, round(EPOCH_S * NANOSECONDS))
         self._faults, self._name = faults, config.name
-        outlet = cast(Node, FaultyNode(cast(Node, self._tape), config, faults, seed=seed))
+        outlet = cast(Node, FaultyNode(cast(Node, self._node), config, faults, seed=seed))
         kind = LidarPublisher if cell.sensor == "lidar" else CameraPublisher
         mount = first.measurement.T_chaser_sensor
         self._publisher: Any = kind(outlet, config.name, T_chaser_sensor=mount, info=config.info())  # type: ignore[attr-defined]
 
     def announcement(self) -> list[Received]:
         """Return the latched messages."""
-        return self._tape.take()
+        return self._node.take()
 
     def messages(self, shown: Shown) -> list[Received]:
         """Return the messages of a frame."""
         stamp_ns = shown.measurement.data.stamp_ns
-        self._tape.now = stamp_ns
+        self._node.now = stamp_ns
         if "silence" not in [window.fault.name for window in self._faults.at(self._name, stamp_ns)]:
             self._publisher.publish(shown.measurement.data)
-        return self._tape.take()
+        return self._node.take()
 
 
 def _planned(cell: FaultCell) -> tuple[PlannedFault, ...]:
@@ -162,7 +157,7 @@ def _sensor_config(cell: FaultCell) -> SensorConfig:
 
 def run(cell: FaultCell, seed: int, trial: int) -> list[dict[str, Any]]:
     """Return a row for each result of the estimator."""
-    course = Course(cell.course, seed, trial)
+    course = Course(cell, seed, trial)
     begin_ns, end_ns = (round((EPOCH_S + time_s) * NANOSECONDS) for time_s in (cell.start_s, cell.end_s))
     rows: list[dict[str, Any]] = []
     for output in _outputs(cell, course, seed, begin_ns, end_ns):
@@ -186,7 +181,7 @@ def run(cell: FaultCell, seed: int, trial: int) -> list[dict[str, Any]]:
 
 
 def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: int) -> Iterator[Output]:
-    settings = settings_of(cell.course)
+    settings = settings_of(cell)
     config = EstimatorConfig(target=cell.target, initial_pose=course.truth(0.0), **_fields(settings))
     target = cached_target(cell.target)
     sensor: _Sensor | None = None

@@ -2,20 +2,14 @@
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.integrity import trial
-from rpod_campaign.integrity.course import IntegrityCell
+from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME, FAULT_NAMES
 from rpod_campaign.integrity.options import Options
 from rpod_campaign.integrity.report import sections, summarise, totals
 from rpod_campaign.integrity.trial import FRAME
 from rpod_campaign.lidar.cells import targets
-from rpod_campaign.pmd.cells import calibrated, scenarios
-from rpod_campaign.pmd.options import PmdOptions
-from rpod_schemas.config.emulator import WorldName
-from rpod_schemas.config.scenario import Scenario
+from rpod_campaign.sequences.cells import document_of
 from rpod_schemas.errors import ConfigurationError
-
-SCENARIO = "tumbling"
-"""Scenario of the camera's sequences."""
 
 
 def cells(options: Options) -> list[IntegrityCell]:
@@ -30,7 +24,7 @@ def cells(options: Options) -> list[IntegrityCell]:
             target=target,
             sensor=sensor,
             world=world,
-            document="" if sensor == "lidar" else document_of(options.scenarios, target, world),
+            document=document_of(options.scenarios, sensor, target, world),
         )
         for target in targets(options.target)
         for sensor in options.sensor
@@ -44,13 +38,6 @@ def sizes_of(fault: str, sensor: str) -> tuple[float, ...]:
     """Return the sizes of a fault; with both sensors the middle one, since a sequence takes the longest."""
     sizes = BY_NAME[fault].sizes
     return (sizes[len(sizes) // 2],) if sensor == "both" else sizes
-
-
-def document_of(installed: dict[str, Scenario], target: str, world: WorldName) -> str:
-    """Return the camera's scenario, calibrated, with a target in a world, as JSON."""
-    own = PmdOptions(scenario=(SCENARIO,), target=(target,), world=(world,), scenarios=installed)
-    ((_, scenario),) = scenarios(own)
-    return calibrated(scenario).model_dump_json()
 
 
 CAMPAIGN: Campaign[IntegrityCell] = Campaign(

@@ -97,7 +97,7 @@ class Injector:
         return measurement
 
 
-class LyingTracker:
+class TurnedTracker:
     """A tracker that believes the true pose turned by an angle, as a flip would be believed.
 
     Args:
@@ -108,10 +108,10 @@ class LyingTracker:
     def __init__(self, tracker: Tracker[SensorFrame], turn: Rotation) -> None:
         self._tracker, self._turn = tracker, make_pose(rotation=turn)
         self.truth: RigidTransform | None = None
-        """True pose, from which it measures; None while it tells what it is asked."""
+        """True pose, whose registration is turned; None while the result is not changed."""
 
     def track(self, measurement: SensorFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration, turned while it lies."""
+        """Return the registration, turned while the true pose is given."""
         if self.truth is None:
             return self._tracker.track(measurement, T_sensor_target)
         found = self._tracker.track(measurement, self.truth)

@@ -13,9 +13,10 @@ from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
 from rpod_campaign.engine.report.statistics import consistency, quantile
-from rpod_campaign.integrity.course import PMD_HZ, IntegrityCell
+from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME
 from rpod_campaign.integrity.trial import FRAME
+from rpod_campaign.sequences.course import PMD_HZ
 
 Results = Sequence[CellResult[IntegrityCell]]
 _KEPT = 50

@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 from rpod_campaign.engine.trial.poses import errors, nees_of
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.integrity.course import EPOCH_S, Course, IntegrityCell, lidar_of
+from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
-from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, LyingTracker, model_of
-from rpod_campaign.lidar.methods import pattern_of, tracking_input
-from rpod_campaign.pmd.scene import camera_of, scenario_of
+from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, TurnedTracker, model_of
+from rpod_campaign.lidar.methods import pattern_of
+from rpod_campaign.sequences.course import EPOCH_S, Course, lidar_of
+from rpod_campaign.sequences.settings import inputs_of, settings_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.dynamics.options import Dynamics
@@ -29,11 +30,8 @@ from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
-from rpod_schemas.config.dynamics import DynamicsConfig
-from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.integrity import IntegrityConfig
-from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
@@ -74,7 +72,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     course = Course(cell, seed, trial)
     faulty = "lidar" if cell.sensor == "lidar" else "pmd"
     turn = Rotation.from_rotvec(cell.size * np.eye(3)[stream(seed, trial, _TURN).integers(3)], degrees=True)
-    methods, liars = _liable(_methods(cell), turn)
+    methods, turned = _turnable(_methods(cell), turn)
     settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
     navigator = Navigator(
@@ -96,8 +94,8 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
         clean = declared[exact.sensor].measured(exact)
         mine = clean.sensor == faulty
         measurement = injector.measured(time_s, clean) if mine else clean
-        lies = mine and cell.fault == "half_turn" and injector.is_active(time_s)
-        liars[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if lies else None
+        is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
+        turned[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
         frozen = mine and injector.repeats >= FROZEN_REPEATS
         if frozen:  # as the estimator refuses it, before the navigator
             output = _refused(measurement, state)
@@ -172,35 +170,6 @@ def _scored(
     }
 
 
-@lru_cache(maxsize=8)
-def _inputs(cell: IntegrityCell) -> tuple[SensorInput, ...]:
-    lidar = tracking_input("projective")
-    inputs: tuple[SensorInput, ...] = ()
-    if cell.document:
-        scenario = scenario_of(cell.document)
-        camera = camera_of(scenario).name
-        inputs = tuple(
-            each.model_copy(update={"name": "pmd"})
-            for each in scenario.estimator.sensors
-            if isinstance(each, PmdInput) and each.name == camera
-        )
-    return inputs if cell.sensor == "pmd" else (*inputs, lidar)
-
-
-def settings_of(cell: IntegrityCell) -> EstimatorSettings:
-    """Return the scenario's settings with the cell's sensors.
-
-    The LIDAR alone has those of a user who knows that nothing turns the target, and that its file is exact.
-    """
-    if not cell.document:
-        return EstimatorSettings(
-            sensors=_inputs(cell),
-            filter=FilterConfig(errors="considered"),
-            dynamics=DynamicsConfig(target="torque_free"),
-        )
-    return scenario_of(cell.document).estimator.model_copy(update={"sensors": _inputs(cell)})
-
-
 @lru_cache(maxsize=4)
 def _methods(cell: IntegrityCell) -> dict[str, Methods]:
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
@@ -208,13 +177,13 @@ def _methods(cell: IntegrityCell) -> dict[str, Methods]:
         each.name: ready_methods(each, model)
         if isinstance(each, PmdInput)
         else ready_methods(each, model, pattern_of(lidar_of(cell.target)))
-        for each in _inputs(cell)
+        for each in inputs_of(cell)
     }
 
 
-def _liable(
+def _turnable(
     methods: dict[str, Methods], turn: Rotation
-) -> tuple[dict[str, Methods], dict[str, LyingTracker]]:
-    """Return the methods with trackers that can lie, and these trackers, by the sensor's name."""
-    liars = {name: LyingTracker(each.tracker, turn) for name, each in methods.items()}
-    return {name: replace(each, tracker=liars[name]) for name, each in methods.items()}, liars
+) -> tuple[dict[str, Methods], dict[str, TurnedTracker]]:
+    """Return the methods with trackers that may be turned, and these trackers, by the sensor's name."""
+    turned = {name: TurnedTracker(each.tracker, turn) for name, each in methods.items()}
+    return {name: replace(each, tracker=turned[name]) for name, each in methods.items()}, turned

@@ -1,12 +1,13 @@
 """Cells of the LIDAR campaigns from the options that they share."""
 
 from collections.abc import Iterator
+from typing import Protocol
 
 from rpod_campaign.engine.options import either
 from rpod_campaign.engine.trial.sizes import in_metres
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import METHODS, TEMPLATE_MATCHING, lidar_input
-from rpod_campaign.lidar.options import CENTROID, LidarOptions
+from rpod_campaign.lidar.options import CENTROID
 from rpod_campaign.lidar.returns import COMMON_RETURNS, range_of_returns
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError, is_shipped
@@ -22,7 +23,21 @@ def targets(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def ranges_m(options: LidarOptions, target: str) -> tuple[float, ...]:
+class RangedOptions(Protocol):
+    """Options of a campaign at fixed ranges; each campaign has its own default."""
+
+    @property
+    def ranges(self) -> tuple[float | str, ...]:
+        """Ranges in metres, or in the target's longest sides (``3x``)."""
+        ...
+
+    @property
+    def model_fields_set(self) -> set[str]:
+        """Names of the options that are given."""
+        ...
+
+
+def ranges_m(options: RangedOptions, target: str) -> tuple[float, ...]:
     """Return the ranges of a campaign's option, m.
 
     If it is not given, those of a shipped target are the option's default, and those of another target give
@@ -30,7 +45,7 @@ def ranges_m(options: LidarOptions, target: str) -> tuple[float, ...]:
     """
     loaded = cached_target(target)
     if "ranges" in options.model_fields_set or is_shipped(loaded):
-        return in_metres(getattr(options, "ranges"), loaded)  # noqa: B009 - each campaign has its own default
+        return in_metres(options.ranges, loaded)
     return tuple(dict.fromkeys(range_of_returns(target, returns) for returns in COMMON_RETURNS))
 
 

@@ -20,7 +20,7 @@ class Options(EveryOptions):
     sensor: Literal["lidar", "pmd"] = "lidar"
     """Sensor: lidar, or pmd for the camera, whose satellites are 0.2 to 3 m long."""
     task: Literal["acquisition", "tracking"] = "acquisition"
-    """What is measured: acquisition in single frames without a guess, or tracking from a wrong prediction."""
+    """Task: acquisition in single frames without a guess, or tracking from a wrong prediction."""
     population: PopulationName = "report"
     """Satellites: derive, from which limits may be derived, or report, for reported figures only."""
     bodies: Annotated[int, Field(gt=0)] = 30

@@ -11,6 +11,7 @@ from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import ray_cosines, undistort
+from rpod_geometry.planes import fitted_plane, largest_plane
 from rpod_schemas.types import Camera, PmdFrame
 
 Points = NDArray[np.float64]
@@ -61,15 +62,17 @@ def _flatness(frame: PmdFrame) -> tuple[float, float, float] | None:
     as_z = (rays * depth_m.ravel()[some]).T
     as_radial = as_z * cosines.ravel()[some][:, None]
     inside = np.zeros(len(some), bool)
+    within_m = _NOISES * max(noise_m, 1e-3)
     for points in (as_z, as_radial):
-        inside |= _largest_plane(points, _NOISES * max(noise_m, 1e-3))
+        plane = largest_plane(points, within_m, draws=_TRIALS, generator=np.random.default_rng(0))
+        if plane is not None:
+            inside |= plane.distances_m(points) < within_m
     if np.count_nonzero(inside) < _LEAST_SHARE * len(some):
         return None
     flat_z, flat_radial = (_rms(points[inside]) for points in (as_z, as_radial))
     better = as_z if flat_z < flat_radial else as_radial
     factor = 1.0 / cosines.ravel()[some][inside] if better is as_radial else cosines.ravel()[some][inside]
-    plane = _projected(better[inside])
-    contrast = _rms(plane * factor[:, None])
+    contrast = _rms(_projected(better[inside]) * factor[:, None])
     return (flat_z, flat_radial, contrast) if contrast > _CONTRAST * noise_m else None
 
 
@@ -88,37 +91,16 @@ def _noise_m(depth_m: Points) -> float:
     return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
 
 
-def _largest_plane(points_m: Points, within_m: float) -> NDArray[np.bool_]:
-    """Return which points are within a distance of the plane that holds most of them (RANSAC)."""
-    chosen = np.random.default_rng(0).integers(len(points_m), size=(_TRIALS, 3))
-    first, second, third = points_m[chosen].swapaxes(0, 1)
-    normals = np.cross(second - first, third - first)
-    lengths = np.linalg.norm(normals, axis=1)
-    plane = lengths >= 1e-9
-    normals, first = normals[plane] / lengths[plane, None], first[plane]
-    if not len(normals):
-        return np.zeros(len(points_m), bool)
-    inside = np.abs(points_m @ normals.T - np.einsum("ij,ij->i", normals, first)) < within_m
-    best: NDArray[np.bool_] = inside[:, np.count_nonzero(inside, axis=0).argmax()]
-    return best
-
-
-def _fit(points_m: Points) -> tuple[Points, Points]:
-    centre = points_m.mean(axis=0)
-    return centre, np.linalg.svd(points_m - centre, full_matrices=False)[2][2]
-
-
 def _rms(points_m: Points) -> float:
     """Return the deviation of points from their plane, robust against a few outliers, m."""
-    centre, normal = _fit(points_m)
-    off_m = np.abs((points_m - centre) @ normal)
-    centre, normal = _fit(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])
-    return float(1.4826 * np.median(np.abs((points_m - centre) @ normal)))
+    off_m = fitted_plane(points_m).distances_m(points_m)
+    plane = fitted_plane(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])
+    return float(1.4826 * np.median(plane.distances_m(points_m)))
 
 
 def _projected(points_m: Points) -> Points:
     """Return points on their plane, along their rays."""
-    centre, normal = _fit(points_m)
+    centre, normal = fitted_plane(points_m)
     along = points_m @ normal
     scale = np.where(np.abs(along) > 1e-9, (centre @ normal) / np.where(along == 0, 1.0, along), 1.0)
     flat: Points = points_m * scale[:, None]

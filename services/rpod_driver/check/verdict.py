@@ -37,7 +37,7 @@ class Verdict(Config):
 
     @property
     def remedy(self) -> str:
-        """What to do, from the catalogue; empty if nothing is wrong."""
+        """Remedy, from the catalogue; empty if nothing is wrong."""
         return "; or ".join(BY_NAME[name].remedy for name in self.faults)
 
 

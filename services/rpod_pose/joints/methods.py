@@ -67,7 +67,7 @@ def jointed(target: Target, rigid: RigidMethods) -> Methods:
 
 
 class _Shared:
-    """What the methods share whatever angles are expected."""
+    """Data that the methods share, whatever angles are expected."""
 
     def __init__(self, target: Target, rigid: RigidMethods) -> None:
         self._points = rigid.points

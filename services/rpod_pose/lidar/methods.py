@@ -116,6 +116,9 @@ class ScanFrames:
         """Return a part of a scan."""
         return part
 
+    def whole_of(self, frame: LidarScan) -> None:
+        """Return None: a part keeps nothing of the whole scan."""
+
     def every_range_m(self, frame: LidarScan) -> Float32Array:
         """Return the range of each ray of the pattern."""
         return self._view.seen(frame).range_m.clip(0.0).astype(np.float32)

@@ -37,7 +37,7 @@ class Challenger:
 
 
 class Outcome(Enum):
-    """What becomes of the track that was challenged."""
+    """Outcome for the track that was challenged."""
 
     OPEN = "the prediction goes on"
     REPLACED = "the track goes on at the challenger"

@@ -72,7 +72,7 @@ class PoseMeasurement:
 
 
 class Shared(NamedTuple):
-    """What a measured pose has in common with others."""
+    """Errors of a measured pose: those of its own, and the states by which it shares errors with others."""
 
     covariance: FloatArray
     """Covariance of its errors that are in no block, shape (6, 6)."""

@@ -13,7 +13,7 @@ from rpod_schemas.messages import NANOSECONDS
 
 
 class Refusals:
-    """What is done and told about poses that the gate refuses; its only state is its configuration.
+    """Treatment and report of poses that the gate refuses; its only state is its configuration.
 
     Args:
         settings: settings of the estimator.

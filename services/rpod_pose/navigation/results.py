@@ -1,4 +1,4 @@
-"""What a step of the navigator publishes: status, odometry, hypotheses, angles of joints."""
+"""Output of a step of the navigator: status, odometry, hypotheses, angles of joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

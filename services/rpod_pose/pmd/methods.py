@@ -102,7 +102,7 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
     return HybridTracker(config, task.target)
 
 
-def _tracker(task: Task) -> TrackerAmongThings:
+def _tracker(task: Task) -> TrackerAmongThings[PmdFrame]:
     tracker: Tracker[PmdFrame] = method("pmd", task.sensor.tracking.kind).built(task.sensor.tracking, task)
     return TrackerAmongThings(tracker, frames_of(task.sensor), task.target)
 

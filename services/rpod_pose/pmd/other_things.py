@@ -84,6 +84,10 @@ class PmdFrames:
         """Return a part of a frame with the whole one."""
         return PartOfFrame.model_construct(**dict(part), whole=whole)
 
+    def whole_of(self, frame: PmdFrame) -> PmdFrame | None:
+        """Return the whole frame of a part; None for a frame that is none."""
+        return frame.whole if isinstance(frame, PartOfFrame) else None
+
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
         """Return the z-depth of each pixel, as measured: gate and background are of this."""
         return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))

@@ -133,7 +133,7 @@ def _size(image: NDArray[Any]) -> str:
 class KnownParts:
     """What a sensor's frames may show of the target, as far as it is known beforehand."""
 
-    frames: Frames
+    frames: Frames[Any]
     gate_m: tuple[float, float]
     unused: NDArray[np.bool_] | None
     background: Background | None
@@ -145,7 +145,7 @@ class KnownParts:
     def of(
         cls,
         known: SensorSurroundings,
-        frames: Frames,
+        frames: Frames[Any],
         folder: Path,
         bodies: KnownBodies | None = None,
         *,
@@ -220,7 +220,7 @@ def known_bodies(path: Path | None) -> KnownBodies | None:
 
 
 def known_parts(
-    path: Path, sensor: str, frames: Frames | None, bodies: KnownBodies | None = None
+    path: Path, sensor: str, frames: Frames[Any] | None, bodies: KnownBodies | None = None
 ) -> KnownParts | None:
     """Return what a file says of a sensor, and the bodies that it may see; None if nothing.
 

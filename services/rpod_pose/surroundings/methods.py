@@ -1,7 +1,7 @@
 """A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
 
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracke
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
-from rpod_schemas.types import Float32Array, Source
+from rpod_schemas.types import Float32Array, SensorFrame, Source
 from rpod_target import Target
+
+FrameT = TypeVar("FrameT", bound=SensorFrame)
 
 MARGINS = 0.2, 0.06, 0.015
 """Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
@@ -49,7 +51,7 @@ VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
 
 
-class Frames(Protocol):
+class Frames(Protocol[FrameT]):
     """Ranges of a sensor kind's frames, and frames without other things."""
 
     @property
@@ -57,11 +59,11 @@ class Frames(Protocol):
         """Standard deviation of the error that all ranges of a frame share."""
         ...
 
-    def image(self, frame: Any, *, fine: bool) -> RangeImage | None:
+    def image(self, frame: FrameT, *, fine: bool) -> RangeImage | None:
         """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
         ...
 
-    def separated(self, frame: Any, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Any:
+    def separated(self, frame: FrameT, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> FrameT:
         """Return a frame in which each ray has become what its label says.
 
         Args:
@@ -71,7 +73,7 @@ class Frames(Protocol):
         """
         ...
 
-    def behind_bodies(self, frame: Any, hides: NDArray[np.bool_]) -> Any:
+    def behind_bodies(self, frame: FrameT, hides: NDArray[np.bool_]) -> FrameT:
         """Return a frame that tells nothing where known bodies are.
 
         Args:
@@ -80,19 +82,23 @@ class Frames(Protocol):
         """
         ...
 
-    def part_of(self, part: Any, whole: Any) -> Any:
-        """Return a separated frame that may keep the whole one as ``whole``.
+    def part_of(self, part: FrameT, whole: FrameT) -> FrameT:
+        """Return a separated frame from which ``whole_of`` may get the whole one.
 
         A tracker inside a search then verifies a pose in the whole frame.
         """
         ...
 
-    def every_range_m(self, frame: Any) -> Float32Array:
+    def whole_of(self, frame: FrameT) -> FrameT | None:
+        """Return the whole frame of a part that ``part_of`` made; None where it is not kept."""
+        ...
+
+    def every_range_m(self, frame: FrameT) -> Float32Array:
         """Return the range of each pixel or ray of a frame, 0 without one, shape (rows, columns)."""
         ...
 
 
-class TrackerAmongThings:
+class TrackerAmongThings(Generic[FrameT]):
     """Tracks in what a pose leaves of a frame: at first the predicted pose, then the one that is found.
 
     Args:
@@ -101,19 +107,19 @@ class TrackerAmongThings:
         target: the target to track.
     """
 
-    def __init__(self, tracker: Tracker[Any], frames: Frames, target: Target) -> None:
+    def __init__(self, tracker: Tracker[FrameT], frames: Frames[FrameT], target: Target) -> None:
         self._tracker, self.frames, self.target = tracker, frames, target
 
-    def cluttered(self, frame: Any) -> RangeImage | None:
+    def cluttered(self, frame: FrameT) -> RangeImage | None:
         """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
         image = self.frames.image(frame, fine=False)
         if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
             return None
         return image
 
-    def track(self, measurement: Any, T_sensor_target: RigidTransform) -> Registration:
+    def track(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
-        whole = getattr(measurement, "whole", None)
+        whole = self.frames.whole_of(measurement)
         if whole is None and self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
         if whole is None:
@@ -123,13 +129,13 @@ class TrackerAmongThings:
             return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
         return self.track_among(whole, T_sensor_target)
 
-    def excluded(self, measurement: Any, T_sensor_target: RigidTransform) -> str:
+    def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
         """Return why no pose near one that a search found can be the target's; empty if one may be.
 
         Only a part of a frame that keeps the whole one is asked. What the whole frame shows at the widest
         margin contradicts every pose within this margin, and takes much less time than an alignment.
         """
-        whole = getattr(measurement, "whole", None)
+        whole = self.frames.whole_of(measurement)
         image = None if whole is None else self.frames.image(whole, fine=True)
         if image is None:
             return ""
@@ -148,9 +154,9 @@ class TrackerAmongThings:
         distance_m = float(np.linalg.norm(T_sensor_target.translation))
         return max(LEAST_DETAIL, image.rays_across(DETAIL * self.target.radius_m, distance_m) ** 2)
 
-    def again(self, measurement: Any, found: Registration) -> Registration:
+    def again(self, measurement: FrameT, found: Registration) -> Registration:
         """Return a registration of the same frame from its own pose, with the margin that it was found at."""
-        pose, whole = found.T_sensor_target, getattr(measurement, "whole", None)
+        pose, whole = found.T_sensor_target, self.frames.whole_of(measurement)
         if pose is None or whole is None:
             return found if pose is None else self.track(measurement, pose)
         last = found.belief.evidence.get(MARGIN, MARGINS[-1])
@@ -158,7 +164,7 @@ class TrackerAmongThings:
 
     def track_among(
         self,
-        measurement: Any,
+        measurement: FrameT,
         T_sensor_target: RigidTransform,
         *,
         margins: tuple[float, ...] = MARGINS,
@@ -189,7 +195,7 @@ class TrackerAmongThings:
         return _judged(replace(found, belief=belief), sight, most_unexplained)
 
     def _tracked_within(
-        self, share: float, measurement: Any, image: RangeImage, found: Registration, pose: RigidTransform
+        self, share: float, measurement: FrameT, image: RangeImage, found: Registration, pose: RigidTransform
     ) -> tuple[Registration, Sight]:
         """Return the registration from a pose in what it leaves of a frame, and what that is.
 
@@ -241,7 +247,7 @@ def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registr
     return replace(found, belief=replace(found.belief, evidence=evidence))
 
 
-class AcquirerAmongThings:
+class AcquirerAmongThings(Generic[FrameT]):
     """Searches each surface of the target's size; the tracker verifies the pose in the whole frame.
 
     Args:
@@ -249,24 +255,24 @@ class AcquirerAmongThings:
         tracker: tracker of frames that show other things too.
     """
 
-    def __init__(self, acquirer: Acquirer[Any], tracker: TrackerAmongThings) -> None:
+    def __init__(self, acquirer: Acquirer[FrameT], tracker: TrackerAmongThings[FrameT]) -> None:
         self._acquirer, self._tracker = acquirer, tracker
 
-    def acquire(self, measurement: Any) -> Acquisition:
+    def acquire(self, measurement: FrameT) -> Acquisition:
         """Search without any prior pose."""
         image = self._tracker.cluttered(measurement)
         if image is None:
             return self._acquirer.acquire(measurement)
         return self._found(measurement, image, None)
 
-    def near(self, measurement: Any, T_sensor_target: RigidTransform) -> Acquisition:
+    def near(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Acquisition:
         """Search around a pose that is too far off for the tracker."""
         image = self._tracker.cluttered(measurement)
         if image is None:
             return self._acquirer.near(measurement, T_sensor_target)
         return self._found(measurement, image, T_sensor_target)
 
-    def _found(self, measurement: Any, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
+    def _found(self, measurement: FrameT, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
         """Return the acquisition at the first place where a track may begin; at none, the best failure."""
         frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
         fine = frames.image(measurement, fine=True)
@@ -293,7 +299,7 @@ class AcquirerAmongThings:
         return accepted or best
 
     def _searched(
-        self, measurement: Any, fine: RangeImage, labels: NDArray[np.uint8], pose: RigidTransform | None
+        self, measurement: FrameT, fine: RangeImage, labels: NDArray[np.uint8], pose: RigidTransform | None
     ) -> Acquisition:
         """Return the acquisition in a part of a frame, verified in the whole frame.
 
@@ -311,7 +317,7 @@ class AcquirerAmongThings:
         return self._in_view(fine, self._verified(measurement, found))
 
     def _among_rivals(
-        self, measurement: Any, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
+        self, measurement: FrameT, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
     ) -> Acquisition:
         """Return an accepted acquisition, or that of a search in what its pose leaves of the frame.
 
@@ -324,7 +330,7 @@ class AcquirerAmongThings:
         again = self._searched(measurement, fine, sight.labels, pose)
         return found if again.outcome is Outcome.FAILED else again
 
-    def _verified(self, measurement: Any, found: Acquisition) -> Acquisition:
+    def _verified(self, measurement: FrameT, found: Acquisition) -> Acquisition:
         """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
         if found.pose is None or not found.belief.continues_track or VISIBLE in found.belief.evidence:
             return found

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from rpod_geometry.planes import fitted_plane, largest_plane
 from rpod_pose.surroundings.separation import BALL, Label, RangeImage, upsampled, with_bodies
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -105,21 +106,13 @@ def _walls(image: RangeImage, on_plane: NDArray[np.bool_], radius_m: float) -> I
 
 
 def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) -> NDArray[np.bool_] | None:
-    """Return which points, shape (N, 3), lie on the plane with most of them (RANSAC); None without one."""
+    """Return which points, shape (N, 3), lie on the plane with most of them; None without one."""
     few_m = points_m[:: max(1, len(points_m) // 1500)]
-    a, b, c = few_m[generator.integers(len(few_m), size=(3, DRAWS))]
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    usable = lengths > 0.0
-    if not usable.any():
+    drawn = largest_plane(few_m, flat_m, draws=DRAWS, generator=generator)
+    if drawn is None:
         return None
-    normals, a = normals[usable] / lengths[usable, None], a[usable]
-    offsets_m = np.einsum("ni,ni->n", normals, a)
-    best = int(np.argmax((np.abs(few_m @ normals.T - offsets_m) < flat_m).sum(axis=0)))
-    near_m = points_m[np.abs(points_m @ normals[best] - offsets_m[best]) < flat_m]
-    middle_m = near_m.mean(axis=0)
-    normal = np.linalg.svd(near_m - middle_m, full_matrices=False)[2][2]
-    on_plane: NDArray[np.bool_] = np.abs((points_m - middle_m) @ normal) < flat_m
+    plane = fitted_plane(points_m[drawn.distances_m(points_m) < flat_m])
+    on_plane: NDArray[np.bool_] = plane.distances_m(points_m) < flat_m
     return on_plane
 
 

@@ -1,4 +1,4 @@
-"""What a node shows of itself in the ROS 2 graph beside its topics: services, parameters, log lines."""
+"""A node in the ROS 2 graph, beside its topics: services, parameters, log lines."""
 
 import json
 import logging
@@ -23,7 +23,7 @@ _LEVELS = ("debug", "info", "warning", "error")
 
 
 class Owner(Protocol):
-    """What the node itself does: it declares publishers and tokens that end with it."""
+    """Node in the graph: it declares publishers and tokens that end with it."""
 
     def publisher(self, topic: Topic) -> Publisher:
         """Declare a publisher."""

@@ -30,13 +30,6 @@ class Lost(IntFlag):
     INCONSISTENT = 4
     """Samples that should cancel do not, or the distances of two frequencies do not agree."""
 
-    @property
-    def camera_code(self) -> int:
-        """Code of the camera's manual for lost depth; saturated precedes too dark and inconsistent."""
-        if self & Lost.SATURATED:
-            return 0x0000
-        return 0xFFFF if self & Lost.TOO_DARK else 0x0001
-
 
 class Reconstruction(NamedTuple):
     """The images of a frame."""

@@ -6,9 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_campaign.integrity.campaign import sizes_of
-from rpod_campaign.integrity.course import IntegrityCell
+from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
-from rpod_campaign.integrity.faults import BY_NAME, Injector, LyingTracker
+from rpod_campaign.integrity.faults import BY_NAME, Injector, TurnedTracker
 from rpod_campaign.integrity.report import poisson_interval, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_pose.measurement import Measurement
@@ -82,7 +82,7 @@ def test_a_lying_tracker_turns_what_it_measures_from_the_truth():
             return Registration(Source.LIDAR, T_sensor_target=guess)
 
     truth, turn = make_pose(translation_m=(0.0, 0.0, 5.0)), Rotation.from_rotvec([np.pi, 0.0, 0.0])
-    tracker = LyingTracker(Exact(), turn)
+    tracker = TurnedTracker(Exact(), turn)
     assert tracker.track(SCAN, truth).T_sensor_target is truth
     tracker.truth = truth
     found = tracker.track(SCAN, make_pose()).T_sensor_target

@@ -24,7 +24,8 @@ def ellipse(*, phase_deg: float = 0.0) -> StationKeeping:
 
 
 def period_s(motion: StationKeeping) -> float:
-    return 2.0 * np.pi / motion.orbit.target.latitude_rate_rad_s
+    """Return the time of one revolution of the mean argument of latitude, which is one relative orbit."""
+    return 2.0 * np.pi / sum(motion.orbit.target.rates_rad_s[1:])
 
 
 def chaser_local_m(motion: StationKeeping, time_s: float) -> FloatArray:

@@ -2,8 +2,10 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import pytest
 from pydantic import BaseModel
@@ -12,7 +14,7 @@ from pydantic.fields import FieldInfo
 from rpod_schemas.config.base import Config, check
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, public_fields, sources, tuning_values
+from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance_of
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 
@@ -24,6 +26,61 @@ LIMITS = Path(__file__).parents[3] / "docs" / "limits"
 """Results of the campaign that derives limits."""
 FEWEST_WORDS = 4
 """Fewest words of the sentence that tells what a field does."""
+
+
+class TuningValue(NamedTuple):
+    """A leaf of a tuning model."""
+
+    path: str
+    """Names of the fields that lead to the value, separated by dots."""
+    provenance: Provenance | None
+    """Source of the default; None if no field on the path states one."""
+
+
+def public_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return all leaves of a configuration model by name, those of ``Tuning`` models left out.
+
+    A leaf is a field whose type holds no model. The fields of a model in a tuple count once. For a field that
+    takes one of several models, the leaves of its default model count.
+    """
+    return {path: field for path, field, _ in _leaves(model, given=None, tuning=False)}
+
+
+def tuning_values(model: type[BaseModel]) -> list[TuningValue]:
+    """Return every leaf of a tuning model with its provenance, or that of the field around it."""
+    return [TuningValue(path, provenance) for path, _, provenance in _leaves(model, given=None, tuning=True)]
+
+
+def sources(values: list[TuningValue]) -> Counter[str]:
+    """Return the number of values of each source; those without one count as ``none``."""
+    return Counter(value.provenance.source if value.provenance else "none" for value in values)
+
+
+def _leaves(
+    model: type[BaseModel], *, given: Provenance | None, tuning: bool
+) -> Iterator[tuple[str, FieldInfo, Provenance | None]]:
+    hints = get_type_hints(model, include_extras=True)
+    for name, field in model.model_fields.items():
+        provenance = provenance_of(hints[name]) or given
+        default = field.get_default(call_default_factory=True, validated_data={})
+        chosen = isinstance(default, BaseModel)
+        nested = [type(default)] if chosen else list(dict.fromkeys(_models_in(hints[name])))
+        if not nested:
+            yield name, field, provenance
+        for inner in nested:
+            if tuning or not issubclass(inner, Tuning):
+                for path, leaf, found in _leaves(inner, given=provenance, tuning=tuning):
+                    yield f"{name}.{path}", leaf, found
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the configuration models that a field's annotation names, those in tuples and unions too."""
+    if isinstance(annotation, type) and get_origin(annotation) is None and issubclass(annotation, BaseModel):
+        yield annotation
+        return
+    arguments = get_args(annotation)
+    for argument in arguments[:1] if get_origin(annotation) is Annotated else arguments:
+        yield from _models_in(argument)
 
 
 def estimator_fields() -> dict[str, FieldInfo]:

@@ -6,7 +6,7 @@ import zenoh
 from secure_bus import KEYS, SERVICE, members
 
 from rpod_logger.selection import patterns
-from rpod_schemas.config.base import check
+from rpod_schemas.config.base import check, load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.rights import RightsConfig
@@ -14,7 +14,7 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.topics import SENT_BY, TOPICS, TRUTH_TOPICS, Namespace
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
-from rpod_security.facility import member_of, named, other_host, read_rules
+from rpod_security.facility import member_of, named, other_host
 from rpod_security.facility import rules_of as rules_of_rights
 from rpod_security.roles import ROLES, Member, Sensor
 from rpod_security.rules import OtherHost, Rules
@@ -175,6 +175,10 @@ def test_a_file_of_members_is_read_with_the_configurations_that_it_names(tmp_pat
     assert allows(rules, "operator", "ingress", "query", service)
     assert not allows(rules, "cam", "ingress", "query", service)
     assert rules["subjects"][-1]["cert_common_names"] == ["operator.4"]
+
+
+def read_rules(file: Path) -> Rules:
+    return rules_of_rights(load(RightsConfig, file), file.parent, source=str(file))
 
 
 @pytest.mark.parametrize(

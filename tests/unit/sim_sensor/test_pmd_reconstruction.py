@@ -148,11 +148,6 @@ def test_a_pixel_says_why_it_has_no_depth() -> None:
     assert lost(frame(5.0, 10.0, {1: 9.0})) == Lost.TOO_DARK | Lost.INCONSISTENT
 
 
-def test_the_cameras_own_codes_are_those_of_its_manual() -> None:
-    codes = {Lost.TOO_DARK: 0xFFFF, Lost.SATURATED: 0x0000, Lost.INCONSISTENT: 0x0001}
-    assert {reason: reason.camera_code for reason in codes} == codes
-
-
 DUAL = PmdConfig(profile="dual")
 
 

@@ -17,7 +17,7 @@ PARAMETERS = 15
 
 @dataclass(frozen=True, eq=False)
 class Assumptions:
-    """What is known before the fit."""
+    """Prior knowledge of a fit."""
 
     depth_sigma_m: float = 0.0
     """Standard deviation of the offset of the sensor's distances, m; 0 for distances without an offset."""

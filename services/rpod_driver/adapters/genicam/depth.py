@@ -20,7 +20,7 @@ _CONFIDENCES = {"Confidence8", "Confidence16", "Confidence1"}
 
 
 class Scan3d:
-    """What a camera says of its coordinates; read once a connection."""
+    """Description of a camera's coordinates; read once a connection."""
 
     def __init__(self, nodes: Any, calibration: Camera | None) -> None:
         """Read the features. Raises ``FeatureError`` for coordinates that are no depth."""

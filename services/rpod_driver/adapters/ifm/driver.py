@@ -37,7 +37,7 @@ def open_driver(config: IfmConfig) -> Driver:
 
 
 class _Head:
-    """What a recorded and a live head share: lens and stamps of a connection."""
+    """Common part of a recorded and a live head: lens and stamps of a connection."""
 
     def __init__(self, config: IfmConfig) -> None:
         self._name, self._device = config.name, config.device

@@ -7,7 +7,7 @@ from rpod_driver.errors import DriverError
 from rpod_schemas.config.driver import Setting
 
 _WRITABLE = ("acquisition", "mode", "processing", "state")
-"""What can be written of a port; ``data`` and ``info`` tell of the head."""
+"""Parts of a port's settings that can be written; ``data`` and ``info`` describe the head."""
 _TOLD = "version"
 """Part of ``acquisition`` and ``processing`` that can only be read."""
 

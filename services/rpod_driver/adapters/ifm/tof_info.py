@@ -31,7 +31,7 @@ class TofInfoError(DriverError):
 
 @dataclass(frozen=True)
 class TofInfo:
-    """What a head tells of itself with each frame."""
+    """Data of a head about itself in each frame."""
 
     version: int
     distance_resolution_m: float

@@ -44,7 +44,7 @@ class ChaserStep(NamedTuple):
 
 
 class Chaser(Protocol):
-    """What is known of the chaser's own motion."""
+    """Known motion of the chaser."""
 
     def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
         """Return the motion between two stamps."""

@@ -1,4 +1,4 @@
-"""What the chaser's IMU has measured, integrated once, so that any step is a difference of two integrals.
+"""Measurements of the chaser's IMU, integrated once, so that any step is a difference of two integrals.
 
 With G the attitude of the chaser in axes that are at rest, dG/dt = G [w]x for the measured rate w. The turn
 of a step from 0 to 1 is G1^T G0. An error d of the bias turns it by G1^T (S1 - S0) d to first order, where S

@@ -36,7 +36,7 @@ _STEPS = 1.25 ** np.arange(100.0)
 
 
 class _Grown(NamedTuple):
-    """What larger accelerations add to the covariance of an innovation, for each unit of the factors."""
+    """Covariance that larger accelerations add to an innovation, for each unit of the factors."""
 
     by_acceleration: FloatArray
     by_angular: FloatArray

@@ -33,7 +33,7 @@ class Dynamics:
     imu: ImuTrack | None = None
     """Readings of the chaser's IMU, for a model that uses them."""
     assumption: str = ""
-    """What the configuration assumes without saying so; empty if nothing."""
+    """Assumptions that the configuration does not state; empty if there is none."""
 
     def blocks_at(self, stamp_ns: int) -> tuple[Block, ...]:
         """Return the further states of a track that begins at a stamp."""

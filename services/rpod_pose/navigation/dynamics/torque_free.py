@@ -141,7 +141,7 @@ def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
 
 
 class Curvature(NamedTuple):
-    """What the second order of the motion adds to a turn and a rate, body axes at the end."""
+    """Change of a turn and a rate by the second order of the motion, body axes at the end."""
 
     mean: FloatArray
     """Mean of turn, as a vector, and rate, shape (6,)."""

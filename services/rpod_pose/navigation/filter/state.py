@@ -30,7 +30,7 @@ class Motion(NamedTuple):
     noise: FloatArray
     """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
     after: FloatArray | None
-    """What the errors and the noise are multiplied with, shape (12 + n, 12 + n); None for nothing."""
+    """Matrix that multiplies errors and noise at the end, shape (12 + n, 12 + n); None for nothing."""
 
 
 class MotionModel(Protocol):

@@ -1,4 +1,4 @@
-"""What the result of a search begins: a track, the tracks of rivals, or nothing."""
+"""Consequence of a search's result: a track begins, or tracks of rivals, or none."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -56,7 +56,7 @@ class Search:
     angles: Mapping[str, Angle] = field(default_factory=dict)
     """Expected angles of the target's joints, by name."""
     registration: Registration | None = None
-    """What the tracker found in the frame; None if it was not asked."""
+    """Registration by the tracker in the frame; None if it was not asked."""
     reason: str = ""
     """Why the frame is not used if nothing is found near the pose."""
     waited: int = 0

@@ -81,27 +81,14 @@ def solution(name: str, estimate: FilterState, other: FilterState, probability: 
     return Solution(name, separation_of(estimate, other), other.covariance[POSE, POSE], probability)
 
 
-def protection_levels(
-    solutions: Sequence[Solution],
-    config: IntegrityConfig,
-    place_m: FloatArray,
-    velocity_m_s: FloatArray,
-    rate_rad_s: FloatArray,
-) -> Levels:
+def protection_levels(solutions: Sequence[Solution], unseen: FloatArray, risk: float) -> Levels:
     """Return the levels of an estimate; half of the risk is that of the attitude.
 
     Args:
         solutions: the solution with all measurements first, then those of the fault hypotheses.
-        config: risk and declared standard deviations.
-        place_m: place of the target's origin, as seen from the sensor, shape (3,), in the solutions' axes.
-        velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
-        rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
+        unseen: covariance of the declared errors, shape (6, 6), as ``declared_covariance`` returns it.
+        risk: probability that an error exceeds its level.
     """
-    return levels_with(solutions, declared_covariance(config, place_m, velocity_m_s, rate_rad_s), config.risk)
-
-
-def levels_with(solutions: Sequence[Solution], unseen: FloatArray, risk: float) -> Levels:
-    """Return the levels of an estimate, with the covariance of declared errors, shape (6, 6)."""
     position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * risk)
     attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * risk)
     return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
@@ -112,7 +99,11 @@ def declared_covariance(
 ) -> FloatArray:
     """Return the covariance of (dp, dtheta) by the declared errors of mount, clock and ranges, shape (6, 6).
 
-    Arguments as for ``protection_levels``.
+    Args:
+        config: declared standard deviations.
+        place_m: place of the target's origin, as seen from the sensor, shape (3,), in the solutions' axes.
+        velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
+        rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
     """
     mount_rad = np.deg2rad(config.mount_sigma_deg)
     turned = np.vstack([-cross_matrix(place_m), np.eye(3)])

@@ -24,7 +24,7 @@ from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
     declared_covariance,
-    levels_with,
+    protection_levels,
     solution,
 )
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
@@ -251,7 +251,7 @@ class Monitor:
         unseen = declared_covariance(self._config, place_m, *moving)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
-            return levels_with(chosen, unseen, self._config.risk)
+            return protection_levels(chosen, unseen, self._config.risk)
 
         parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
         less = ""

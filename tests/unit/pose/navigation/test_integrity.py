@@ -9,7 +9,12 @@ from scipy.spatial.transform import Rotation
 from rpod_pose.navigation.filter import POSE, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.inside import Inside
-from rpod_pose.navigation.integrity.levels import Solution, length_quantile, protection_levels
+from rpod_pose.navigation.integrity.levels import (
+    Solution,
+    declared_covariance,
+    length_quantile,
+    protection_levels,
+)
 from rpod_pose.navigation.integrity.monitor import (
     DECLARED_ONLY,
     SIZE_BELIEVED,
@@ -45,6 +50,11 @@ def truth(time_s):
         rotation=Rotation.from_rotvec([np.deg2rad(2.0) * time_s, 0.0, 0.0]),
         translation_m=(0.0, 0.0, 6.0 - 0.2 * time_s),
     )
+
+
+def levels_of(solutions, config, *how):
+    """Return the levels with a configuration's declared errors at a place, velocity and rate."""
+    return protection_levels(solutions, declared_covariance(config, *how), config.risk)
 
 
 @dataclass
@@ -208,7 +218,7 @@ def test_frames_of_one_second_count_as_one_in_the_tests():
 def test_errors_exceed_their_level_as_rarely_as_the_risk_says(sigma):
     config = NOTHING_UNSEEN.model_copy(update={"risk": 0.02})
     alone = Solution("", np.zeros(6), sigma**2 * np.eye(6))
-    levels = protection_levels([alone], config, TEN_M, np.zeros(3), np.zeros(3))
+    levels = levels_of([alone], config, TEN_M, np.zeros(3), np.zeros(3))
     lengths = sigma * np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 3)), axis=1)
     assert np.mean(lengths > levels.position_m) == pytest.approx(0.02 / 4, rel=0.1)
 
@@ -226,7 +236,7 @@ def test_a_quantile_of_a_length_is_that_of_its_covariances_shape():
 def test_a_hypothesis_whose_covariance_is_not_known_leaves_no_level():
     alone, still = Solution("", np.zeros(6), 1e-12 * np.eye(6)), np.zeros(3)
     unknown = Solution("without lidar", np.zeros(6), np.full((6, 6), np.nan), 1e-4)
-    levels = protection_levels([alone, unknown], NOTHING_UNSEEN, TEN_M, still, still)
+    levels = levels_of([alone, unknown], NOTHING_UNSEEN, TEN_M, still, still)
     assert np.isnan([levels.attitude_deg, levels.position_m]).all()
     assert levels.position_by == "without lidar"
 
@@ -237,7 +247,7 @@ def test_a_mounts_turn_and_a_drift_of_the_ranges_act_across_each_other():
     def level_m(mount_deg, share):
         declared = {"mount_sigma_deg": mount_deg, "tuning": {"range_share": share}}
         config = IntegrityConfig(mount_sigma_m=0.0, clock_sigma_s=0.0, **declared)
-        return protection_levels(alone, config, TEN_M, still, still).position_m
+        return levels_of(alone, config, TEN_M, still, still).position_m
 
     across, along = level_m(0.05, 0.0), level_m(0.0, 5e-4)
     assert across == pytest.approx(5.515 * 10.0 * np.deg2rad(0.05), rel=1e-3)
@@ -299,7 +309,7 @@ def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, l
     others, between = told.size_solutions(estimate, 1e-6, 1e-4, 1.0)
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
-    levels = protection_levels([alone, *others, *between], NOTHING_UNSEEN, TEN_M, still, still)
+    levels = levels_of([alone, *others, *between], NOTHING_UNSEEN, TEN_M, still, still)
     assert levels.attitude_deg == pytest.approx(level_deg, abs=0.3)
     (test,) = told.tests(10.0, 0.0, 1.0)
     assert test.fails(1e-6) == fails
@@ -335,7 +345,7 @@ def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     assert test.fails(1e-6) == fails
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
-    levels = protection_levels([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)
+    levels = levels_of([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)
     assert levels.position_by == "pmd: measured distances alone"
     assert levels.position_m > off_m + 2.0 * 0.007
 
@@ -365,7 +375,7 @@ def test_the_level_covers_what_a_solution_without_a_sensor_says():
     alone = Solution("", np.zeros(6), 1e-6 * np.eye(6))
     apart = np.array([0.5, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
     other = Solution("without pmd", apart, 1e-6 * np.eye(6), 1e-4)
-    levels = protection_levels([alone, other], NOTHING_UNSEEN, TEN_M, np.zeros(3), np.zeros(3))
+    levels = levels_of([alone, other], NOTHING_UNSEEN, TEN_M, np.zeros(3), np.zeros(3))
     assert levels.position_m > 0.5
     assert levels.attitude_deg > 90.0
     assert levels.position_by == levels.attitude_by == "without pmd"
@@ -374,12 +384,12 @@ def test_the_level_covers_what_a_solution_without_a_sensor_says():
 def test_declared_errors_of_mount_clock_and_ranges_widen_the_levels():
     alone = [Solution("", np.zeros(6), 1e-8 * np.eye(6))]
     how = TEN_M, np.array([0.0, 0.3, 0.4]), np.array([0.1, 0.0, 0.0])
-    without = protection_levels(alone, NOTHING_UNSEEN, *how)
+    without = levels_of(alone, NOTHING_UNSEEN, *how)
     for declared in (
         {"mount_sigma_deg": 0.1},
         {"mount_sigma_m": 0.005},
         {"clock_sigma_s": 0.05},
         {"tuning": NOTHING_UNSEEN.tuning.model_copy(update={"range_share": 1e-3})},
     ):
-        wider = protection_levels(alone, NOTHING_UNSEEN.model_copy(update=declared), *how)
+        wider = levels_of(alone, NOTHING_UNSEEN.model_copy(update=declared), *how)
         assert wider.position_m > without.position_m

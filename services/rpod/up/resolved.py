@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from rpod.host_state import read_facility
+from rpod.up.host_state import read_facility
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig

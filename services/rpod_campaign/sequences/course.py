@@ -1,17 +1,15 @@
-"""The course of a trial: how the target moves, and the frames that the sensors take of it."""
+"""The course of a sequence: how the target moves, and the frames that the sensors take of it."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Iterator
 from functools import lru_cache
 from math import asin, ceil, degrees, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.integrity.faults import BY_NAME
 from rpod_campaign.lidar.methods import lidar_config
 from rpod_campaign.lidar.returns import ellipse_m, window_of
 from rpod_campaign.lidar.scene import emulator_of, scan_of
@@ -26,10 +24,10 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
 from rpod_sim_sensor.lidar import LidarEmulator
 
-LIDAR_S, LIDAR_START_S = 40.0, 15.0
-"""Length of a sequence with the LIDAR alone, and start of its fault, s."""
-PMD_S, PMD_START_S = 8.0, 3.0
-"""The same with a camera."""
+LIDAR_S, PMD_S = 40.0, 8.0
+"""Length of a sequence with the LIDAR alone, and with a camera, s."""
+LIDAR_START_S, PMD_START_S = 15.0, 3.0
+"""Time at which a fault begins in them, s."""
 PMD_HZ = 15.0
 TUMBLE_DEG_S = 3.5
 """Rate of the target in sequences with the LIDAR alone, deg/s, that of ENVISAT; the camera's scenario has its
@@ -43,31 +41,28 @@ _MOTION = 21
 """Stream of random numbers."""
 
 
-@dataclass(frozen=True)
-class IntegrityCell:
-    """A fault of a size, for a target and the sensors that see it."""
-
-    fault: str
-    size: float
-    """Size in the fault's unit."""
-    target: str
-    sensor: str
-    """``lidar``, ``pmd``, or ``both``."""
-    world: WorldName = "documented"
-    document: str = field(default="", repr=False)
-    """JSON of the scenario with the camera; empty for the LIDAR alone."""
+class CourseCell(Hashable, Protocol):
+    """A campaign's cell whose trials are sequences."""
 
     @property
-    def start_s(self) -> float:
-        """Time of the sequence at which the fault begins."""
-        if BY_NAME[self.fault].lasting:
-            return 0.0
-        return LIDAR_START_S if self.sensor == "lidar" else PMD_START_S
+    def target(self) -> str:
+        """Name of the target."""
+        ...
 
     @property
-    def duration_s(self) -> float:
-        """Length of the sequence."""
-        return LIDAR_S if self.sensor == "lidar" else PMD_S
+    def sensor(self) -> str:
+        """``lidar``, ``pmd``, or ``both``."""
+        ...
+
+    @property
+    def world(self) -> WorldName:
+        """Variant of the emulated sensors' physics."""
+        ...
+
+    @property
+    def document(self) -> str:
+        """JSON of the scenario with the camera; empty for the LIDAR alone."""
+        ...
 
 
 class Shown(NamedTuple):
@@ -77,10 +72,15 @@ class Shown(NamedTuple):
     measurement: Measurement
 
 
-class Course:
-    """The motion of a trial, and the frames that the sensors take of it."""
+def fault_start_s(sensor: str) -> float:
+    """Return the time at which a fault begins in the sequences of a sensor, s."""
+    return LIDAR_START_S if sensor == "lidar" else PMD_START_S
 
-    def __init__(self, cell: IntegrityCell, seed: int, trial: int) -> None:
+
+class Course:
+    """The motion of a trial's target, and the frames that the sensors take of it."""
+
+    def __init__(self, cell: CourseCell, seed: int, trial: int) -> None:
         self._cell, self._seed, self._trial = cell, seed, trial
         self._offset_s = 0.0
         self._stage: Stage | None = None
@@ -100,8 +100,8 @@ class Course:
 
     def frames(self) -> Iterator[Shown]:
         """Yield the frames of all sensors in the order of time."""
-        rate_hz = 1.0 if self._stage is None else PMD_HZ
-        for number in range(int(self._cell.duration_s * rate_hz)):
+        duration_s, rate_hz = (LIDAR_S, 1.0) if self._stage is None else (PMD_S, PMD_HZ)
+        for number in range(int(duration_s * rate_hz)):
             time_s = number / rate_hz
             if self._stage is not None:
                 yield self._image(self._stage, time_s)

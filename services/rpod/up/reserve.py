@@ -46,7 +46,7 @@ class Reserve:
         """Process identifier, while there is a process."""
         return self._process.pid if self._process else None
 
-    def tend(self, worked_s: float) -> None:
+    def update(self, worked_s: float) -> None:
         """Start the process once its service has been at work for a while, and notice its end."""
         if self._process is None:
             if worked_s >= AFTER_S and time.monotonic() >= self._due_s:

@@ -28,7 +28,8 @@ GRACE_S = 1.0
 this process was awake. Publishers stay open for 0.3 s after their last message and tell its number each
 0.2 s, so that it is asked for again."""
 RETURN_S = 10.0
-"""Time after an outage in which publishers come back, s: Zenoh tries at least each 4 s."""
+"""Time after an outage in which publishers come back, s, counted as the grace is: Zenoh tries at least each
+4 s."""
 _JUDGEMENT_S = 0.5
 """Longest time between two judgements, of which there are four a second, unless this process stands still, s.
 Messages that came while it did are not handled yet, so that they have at least half the grace left."""
@@ -107,7 +108,7 @@ class _Session:
         return found
 
 
-class Farewells:
+class PublisherEnds:
     """Follows publishers until they end. Safe to use from several threads."""
 
     def __init__(self, recorded: Callable[[Topic], bool], link: Link, *, own: str) -> None:
@@ -116,6 +117,8 @@ class Farewells:
         self._sessions: dict[str, _Session] = {}
         self._forgotten = 0
         self._awake = AwakeTime(_JUDGEMENT_S)
+        self._regained: tuple[int, float] = (0, float("-inf"))
+        """When the last outage ended, ns of UTC, and the time in which this process was awake until then."""
         self._reasons: list[str] = []
         self._unconfirmed: list[str] = []
 
@@ -193,7 +196,7 @@ class Farewells:
     def judge(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
         with self._lock:
-            self._awake.at(now_s)  # in each turn, so that a pause of this process counts as a short time
+            self._note_link(self._awake.at(now_s))  # in each turn: a pause of this process is a short time
             for name, session in list(self._sessions.items()):
                 if session.instance:
                     self._judge_service(name, session, now_s)
@@ -225,9 +228,15 @@ class Farewells:
 
     def _is_final(self, gone: _Gone, now_s: float) -> bool:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
+        awake_s = self._awake.at(now_s)
         if self._left_with_link(gone.stamp_ns):
-            return not self._link.lost and now_s - self._link.regained_s > RETURN_S
-        return self._awake.at(now_s) - gone.awake_s > GRACE_S
+            return not self._link.lost and awake_s - self._regained[1] > RETURN_S
+        return awake_s - gone.awake_s > GRACE_S
+
+    def _note_link(self, awake_s: float) -> None:
+        for outage in self._link.outages()[-1:]:
+            if outage.end_ns is not None and outage.end_ns != self._regained[0]:
+                self._regained = outage.end_ns, awake_s
 
     def _left_with_link(self, gone_ns: int) -> bool:
         return any(abs(gone_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages())

@@ -12,7 +12,7 @@ from rpod_schemas.config.facility import FacilityFile
 
 STOP_TIMEOUT_S = 60.0
 """Longest time that one service may take to finish, on a loaded machine too."""
-_LOCK, _STATUS = "keeper.pid", "status.json"
+_LOCK, _STATUS = "manager.pid", "status.json"
 
 
 class DaemonStatus(Config):
@@ -31,7 +31,7 @@ class DaemonStatus(Config):
     last_end: str
     """How the process before ended; empty if none has."""
     message: str
-    """What the service says of itself."""
+    """Newest message of the service about its state."""
     memory_bytes: int | None = None
     """Resident memory of the process."""
     reserve: str = "none"
@@ -45,7 +45,7 @@ class DaemonStatus(Config):
 
 
 class FacilityStatus(Config):
-    """What ``rpod ps`` shows."""
+    """State of a facility, as ``rpod ps`` shows it."""
 
     name: str
     """Name of the facility."""

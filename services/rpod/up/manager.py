@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rpod.daemon import Daemon, DaemonState
-from rpod.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
-from rpod.reserve import ReserveState
-from rpod.resolved import ResolvedFacility, resolve_facility
+from rpod.up.daemon import Daemon, DaemonState
+from rpod.up.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
+from rpod.up.reserve import ReserveState
+from rpod.up.resolved import ResolvedFacility, resolve_facility
 from rpod_runtime.awake import AwakeClock
 from rpod_schemas.errors import ConfigurationError
 
@@ -31,7 +31,7 @@ class Asked:
     reload: bool = False
 
 
-class Keeper:
+class FacilityManager:
     """All services of a facility, each kept alive."""
 
     def __init__(self, facility: ResolvedFacility, sockets: Path) -> None:
@@ -44,7 +44,7 @@ class Keeper:
         self._shown: list[tuple[DaemonState, int | None, ReserveState]] = []
         self._next_s = 0.0
 
-    def keep(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
+    def run(self, asked: Asked, tell: Callable[[FacilityStatus], None]) -> None:
         """Start the services, keep them alive until stopped, and stop them, the last one first."""
         try:
             for daemon in self._daemons:
@@ -125,7 +125,7 @@ def keep_up(facility: ResolvedFacility, *, asked: Asked, tell: Callable[[Facilit
         stack.enter_context(held(facility.state))
         # short: the path of a socket has at most 107 bytes
         sockets = Path(stack.enter_context(TemporaryDirectory(prefix="rpod-", ignore_cleanup_errors=True)))
-        Keeper(facility, sockets).keep(asked, tell)
+        FacilityManager(facility, sockets).run(asked, tell)
 
 
 def _memory_bytes(pid: int | None) -> int | None:

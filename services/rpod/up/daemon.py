@@ -14,8 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from rpod.reserve import Reserve
-from rpod.resolved import ResolvedService
+from rpod.up.reserve import Reserve
+from rpod.up.resolved import ResolvedService
 from rpod_runtime.awake import AwakeClock
 from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.notify import IN_RESERVE
@@ -56,7 +56,7 @@ class Backoff:
 
 
 class Daemon:
-    """A service and its present process. Everything runs in the keeper's one thread."""
+    """A service and its present process. Everything runs in the service manager's one thread."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Daemon:
     ) -> None:
         self.name, self.service = service.name, service
         self._clock = clock or AwakeClock()
-        """Counts the keeper's own time: a keeper that stood still must not take the others for hanging."""
+        """Counts the manager's own time: a manager that stood still must not take the others for hanging."""
         self.state: DaemonState = "stopped"
         self.message = ""
         self.restarts = 0
@@ -81,7 +81,7 @@ class Daemon:
         self.reserve = Reserve(service.name, lambda: self._spawn({RESERVE: "1"}))
         self._process: subprocess.Popen[bytes] | None = None
         self._born_s = 0.0
-        """Time at which the process was started, monotonic clock; the other times are the keeper's own."""
+        """Time at which the process was started, monotonic clock; the other times are the manager's own."""
         self._started_s = self._ready_s = self._heard_s = 0.0
         self._due_s = 0.0
         self._hang_s = service.settings.hang_s
@@ -149,7 +149,7 @@ class Daemon:
             elif self.state in ("starting", "ready"):
                 self._kill_if_late()
                 if self.state == "ready" and self.service.settings.reserve:
-                    self.reserve.tend(self._clock.now_s() - self._ready_s)
+                    self.reserve.update(self._clock.now_s() - self._ready_s)
         elif self.state == "waiting" and self._clock.now_s() >= self._due_s:
             self.restarts += 1
             self.start()
