@@ -82,7 +82,7 @@ def kept_facility(
         folder: empty folder of its files.
         rate_hz: frames of the camera a second.
         logger: more fields of the logger's configuration.
-        reserve: whether all services but the router have a process in reserve.
+        reserve: whether the services have a process in reserve.
     """
     endpoint = free_endpoint()
     target = {"target": "mockup"}
@@ -104,7 +104,7 @@ def kept_facility(
         },
     }  # fmt: skip
     for service in document["services"].values():
-        service |= {"reserve": reserve and service["verb"] != "router"}
+        service |= {"reserve": reserve}
     path = folder / "hall.yaml"
     path.write_text(yaml.safe_dump(document, sort_keys=False), "utf-8")
     with (folder / "up.log").open("wb") as said:

@@ -129,7 +129,7 @@ class Desk:
 
     def kill(self, name: str, rnd: Random) -> Kill:
         """Kill a service and wait until everything works again."""
-        if self._reserve and name != "router":
+        if self._reserve:
             until(lambda: self._facility.in_reserve(name), f"{name}: a process in reserve")
         self._node.stop.wait(rnd.uniform(*_QUIET_S))
         echo_s = None if name == "router" else self._kill_echo()

@@ -8,6 +8,7 @@ from threading import Event
 
 from rpod_runtime.notify import manager
 from rpod_runtime.refusal import telling_refusals
+from rpod_runtime.reserve import await_turn
 from rpod_runtime.session import open_router
 from rpod_schemas.config.service import RouterConfig
 
@@ -17,8 +18,12 @@ _DAY_S = 86_400.0
 
 
 def run(config: RouterConfig, *, stop: Event) -> None:
-    """Route until stopped. Raises ``EndpointError``, ``CredentialsError``, ``RulesError``."""
+    """Route until stopped. Raises ``EndpointError``, ``CredentialsError``, ``RulesError``.
+
+    A router in reserve binds its port when its turn has come.
+    """
     _raise_descriptor_limit()
+    await_turn(stop)
     with ExitStack() as stack:
         if config.credentials:
             stack.enter_context(telling_refusals())

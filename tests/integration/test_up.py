@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -82,10 +83,10 @@ def up(tmp_path):
         yield start
 
 
-def test_for_a_killed_estimator_the_one_in_reserve_tracks_again_and_ps_says_so(up):
+def test_for_a_killed_estimator_and_router_those_in_reserve_take_over_and_ps_says_so(up):
     facility = up(
         {
-            "router": {"verb": "router"},
+            "router": {"verb": "router", "reserve": True},
             "estimator": {
                 "verb": "estimator",
                 "reserve": True,
@@ -105,13 +106,18 @@ def test_for_a_killed_estimator_the_one_in_reserve_tracks_again_and_ps_says_so(u
         psutil.Process(before["pid"]).kill()
         again = lambda one: tracks(one) not in (False, first_gid)  # noqa: E731 - of another process
         assert first(statuses, again, DEADLINE_S)
+        router = until(lambda: (told := facility.service("router"))["reserve"] == "ready" and told)
+        psutil.Process(router["pid"]).kill()
+        assert facility.service("router", restarts=1)["pid"] == router["reserve_pid"]
+        back_ns = time.time_ns()
+        assert first(statuses, lambda one: one.arrival_ns > back_ns and tracks(one), DEADLINE_S)
     after = facility.service("estimator", restarts=1)
     assert after["pid"] == reserve["reserve_pid"]
     assert after["pid"] != before["pid"]
     assert after["last_end"] == "was killed by SIGKILL"
     code, told = facility.ask("ps")
     assert code == 0
-    assert [each["restarts"] for each in told["services"]] == [0, 1, 0, 0]
+    assert [each["restarts"] for each in told["services"]] == [1, 1, 0, 0]
     facility.process.send_signal(signal.SIGTERM)
     assert facility.process.wait(DEADLINE_S) == 0
 

@@ -90,6 +90,6 @@ def test_a_process_in_reserve_that_is_stopped_does_not_join_the_bus():
         waiting.await_turn(stop)
 
 
-def test_a_router_has_no_reserve():
-    with pytest.raises(ValidationError, match="not for verb router"):
-        FacilityService(verb="router", reserve=True)
+def test_a_driver_has_no_reserve():
+    with pytest.raises(ValidationError, match="not for verb driver"):
+        FacilityService(verb="driver", driver="ifm", reserve=True)

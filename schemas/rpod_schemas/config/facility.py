@@ -14,9 +14,9 @@ Restart = Literal["always", "on_failure", "never"]
 _FINITE: tuple[Verb, ...] = ("motion", "driver", "view")
 """Services that may come to an end by themselves: a scenario, a recording, a window that is closed."""
 
-_RESERVED: tuple[Verb, ...] = ("estimator", "emulator", "motion", "logger")
-"""Services that touch nothing but the bus and their own files, and these only when they are on the bus. A
-router binds its port, a driver opens its device."""
+_RESERVED: tuple[Verb, ...] = ("router", "estimator", "emulator", "motion", "logger")
+"""Services that touch nothing but the bus and their own files, and these only when their turn has come. A
+driver opens its device."""
 
 
 class BackoffConfig(Config):
@@ -59,7 +59,8 @@ class FacilityService(Config):
 
     reserve: bool = False
     """Whether a second process waits, warm and not on the bus, to take over in a fraction of a second when
-    the first one ends. It takes as much memory as the first one. For estimator, emulator, motion, logger."""
+    the first one ends. It takes as much memory as the first one. For router, estimator, emulator, motion,
+    logger."""
 
     @model_validator(mode="after")
     def _reserve_is_possible(self) -> Self:

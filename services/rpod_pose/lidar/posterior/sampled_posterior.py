@@ -30,6 +30,8 @@ SPREAD = 24.0
 """Least effective number of samples from which a round's covariance is computed: several for each unknown."""
 ENOUGH = 48.0
 """Effective number of samples that ends the rounds: the mean is then known within a seventh of its sigma."""
+OF_POSE = 6
+"""Number of unknowns of a pose."""
 HALVINGS = 20
 """Number of bisections for the power of the weights."""
 
@@ -49,7 +51,7 @@ class SampledPosterior(NamedTuple):
     mean: FloatArray
     """Mean, shape (6,)."""
     covariance: FloatArray
-    """Covariance, shape (6, 6)."""
+    """Covariance of the true pose about this mean, shape (6, 6)."""
     log_mass: float
     """Logarithm of the integral of the likelihood over (dtau, dtheta), m3 rad3."""
     likeliest: FloatArray
@@ -111,6 +113,7 @@ def sampled_posterior(
             break
     if effective >= SPREAD:
         mean, spread = _moments(x[:known], weights)
+    spread *= _from_few(max(effective, SPREAD))
     ratios = logs[:known] - np.log(mixture[:known] * (samples / known))
     most = ratios.max()
     log_mass = most + log(np.exp(ratios - most).mean())
@@ -173,6 +176,17 @@ def _power(ratios: FloatArray) -> float:
         else:
             low = middle
     return low
+
+
+@kernel
+def _from_few(number: float) -> float:
+    """Return the factor on a covariance that was computed from a number of samples.
+
+    The inverse of such a covariance is too large by (n - 1) / (n - d - 2) on average for n normal samples of
+    d unknowns (T. W. Anderson, An Introduction to Multivariate Statistical Analysis, 2003, lemma 7.7.1), and
+    their mean has 1 / n of the covariance.
+    """
+    return (1.0 + 1.0 / number) * (number - 1.0) / (number - OF_POSE - 2.0)
 
 
 @kernel
