@@ -37,9 +37,11 @@ def measured(data: SensorFrame, *, radius_m: float) -> str:
 
 def _ranges_m(data: SensorFrame) -> NDArray[Any]:
     if data.lens is None:
-        return np.linalg.norm(data.returns_m, axis=1)
+        range_m: NDArray[Any] = np.linalg.norm(data.returns_m, axis=1)
+        return range_m
     values = data.images[0].values
-    return values[np.isfinite(values) & (values > 0.0)]
+    measured_m: NDArray[Any] = values[np.isfinite(values) & (values > 0.0)]
+    return measured_m
 
 
 def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> str:

@@ -13,8 +13,8 @@ from rpod_schemas.messages.lenses import coefficients
 from rpod_schemas.types import Camera
 
 _NO_PIXEL = (
-    "no finite pixel in the depth image; look at the sensor's cover, lamp, exposure and range, if the target is "
-    "in view"
+    "no finite pixel in the depth image; look at the sensor's cover, lamp, exposure and range, if the target "
+    "is in view"
 )
 _AMPLITUDES = "mono16, mono8 or 32FC1; a colour image is none: leave it out of source.topics"
 _CALIBRATE = "give its driver a calibration ('rpod calibrate camera' makes one)"
@@ -55,7 +55,7 @@ def read_image(message: Any) -> NDArray[Any]:
 
 
 def _wrong_size(message: Any, row: int) -> str:
-    """Return what is wrong with an image's sizes, of which a row of pixels has ``row`` bytes; else nothing."""
+    """Return what is wrong with an image's sizes; a row of pixels has ``row`` bytes. Empty if nothing is."""
     if 0 in (message.width, message.height):
         return "there are none"
     if message.step < row:
