@@ -1,6 +1,7 @@
 """``rpod target new`` and ``rpod target check`` from their arguments to their exit codes."""
 
 import json
+import shlex
 import sys
 import tempfile
 from dataclasses import replace
@@ -38,7 +39,7 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
     for text in made.told:
         console.print(f"{text}", soft_wrap=True, markup=False)
     console.print(f"target   {made.file}", soft_wrap=True, markup=False)
-    console.print(f"next     rpod target check {made.file}", soft_wrap=True, markup=False)
+    console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True, markup=False)
     return EXIT_OK
 
 

@@ -10,11 +10,12 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_pose.measurement import Tick
+from rpod_estimator.sight import measured
+from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
-from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
+from rpod_pose.navigation.first_pose.searches import RESTING, WAITS, InlineSearches, Searches
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -197,9 +198,22 @@ class Estimator:
             except KnownSurroundingsError as error:
                 return self._rejected(arrived, str(error))
         self._state, output = self._navigator.step(self._state, measurement)
+        if not output.status.accepted and not output.status.mode.has_track:
+            output = self._with_sight(output, measurement)
         self._searches.keep(self._state.searches.values())
         self._log_change(before, output)
         return output
+
+    def _with_sight(self, output: Output, measurement: Measurement) -> Output:
+        """Return the result of a frame in which no pose was found, with what the frame measures."""
+        reason = output.status.reason
+        if not reason or reason == RESTING or reason.startswith(WAITS):
+            return output
+        if not (seen := measured(measurement.data, radius_m=self._target.radius_m)):
+            return output
+        found, waits, begun = reason.partition(f"; {WAITS}")
+        told = f"{found} ({seen}){waits}{begun}"
+        return replace(output, status=output.status.model_copy(update={"reason": told}))
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result; call it once for each.

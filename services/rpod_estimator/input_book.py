@@ -64,6 +64,8 @@ class SensorBook:
         """Last loss of each kind, in words."""
         self.repeats = 0
         """Number of its newest frames that are identical to the one before them."""
+        self.doubt = ""
+        """What is wrong with its newest frame although it can be used."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -120,9 +122,9 @@ class SensorBook:
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
         level = Health.ERROR if len(losses) == frames else Health.WARN
         past_s = now_s - self._recent[0].time_s
-        return InputState(
-            level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {latest.text}"
-        )
+        looks = f"; 'rpod driver check {self.name}' looks for errors of the sensor"
+        text = latest.text + looks * (level == Health.ERROR and latest.kind == REJECTED)
+        return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self) -> InputState:
         if self.sync.ptp == "unlocked":
@@ -131,6 +133,8 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
+        if self.doubt:
+            return InputState(Health.WARN, f"{self.name}: {self.doubt}")
         if self.repeats < LEAST_FRAMES:
             return OK
         text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"

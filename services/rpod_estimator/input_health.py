@@ -52,11 +52,12 @@ class InputHealth:
         if status.reason == RESTING:
             self._health.count(f"dropped/{arrived.sensor}")
             return
-        book.repeats = arrived.repeats
+        book.repeats, book.doubt = arrived.repeats, arrived.doubt
         if status.accepted:
             book.use(now_s)
         else:
-            book.lose(Loss(arrived.refused or REJECTED, status.reason), now_s)
+            found = status.reason.partition(f"; {WAITS}")[0]  # another search has begun, which is no reason
+            book.lose(Loss(arrived.refused or REJECTED, found), now_s)
 
     def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
         """Note a frame that never became complete."""

@@ -158,7 +158,8 @@ class Subscriptions:
             if stamp_ns == assembler.done_ns and part in assembler.required:
                 raise MessageRejectedError(
                     Reason.DUPLICATE,
-                    f"the frame of {stamp_ns} ns is already complete; let the driver send each part once",
+                    f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or "
+                    "gives two frames one stamp",
                 )
         except MessageRejectedError as error:
             if leads:

@@ -110,7 +110,7 @@ class PmdReader:
             frame.parts["depth"],
             lambda message: (
                 read_text("frame_id", message.header.frame_id),
-                sized(read_depth(_plain(message)), size),
+                sized(read_depth(_plain(message), self._source.depth_unit_m), size),
             ),
         )
         if self._source.depth == "radial":

@@ -17,10 +17,14 @@ _SECONDS = 60
 _LEAST_SECONDS = 10
 TAI_S = 37.0
 """Time by which TAI is ahead of UTC since 2017."""
+_UNITS = {"milliseconds": 1e-6, "microseconds": 1e-3, "seconds": 1e-9}
+"""What a driver may have counted in place of nanoseconds, with the factor by which stamps are too small."""
 _LATENCY_S = 1.0
 _ZONE_S = 1800.0
 """Time zones differ by multiples of it."""
 _DAY_S = 86_400.0
+_SHARE = 1e-4
+"""Share by which stamps in a wrong unit may differ from the time: two days in fifty years."""
 _YEAR_NS = 365 * 86_400 * NANOSECONDS
 
 
@@ -64,6 +68,12 @@ def is_local_time(ahead_s: float) -> bool:
 
 def clock_hint(ahead_s: float, stamp_ns: int) -> str:
     """Return what probably is wrong with a clock whose stamps are ahead of the time, and what to do."""
+    if stamp_ns == 0:
+        return "there is no stamp: let the driver set header.stamp"
+    for unit, factor in _UNITS.items():
+        due_ns = factor * (stamp_ns - ahead_s * NANOSECONDS)
+        if abs(stamp_ns - due_ns) < _SHARE * due_ns:
+            return f"are they {unit} in place of nanoseconds? Let the driver stamp in seconds and nanoseconds"
     if is_boot_time(ahead_s, stamp_ns):
         return "the stamps count from the start of the device; let its driver stamp in UTC"
     if abs(ahead_s - TAI_S) < _LATENCY_S:

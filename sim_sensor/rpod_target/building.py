@@ -12,7 +12,7 @@ from rpod_target.errors import TargetError
 from rpod_target.interior import Bodies, Body
 from rpod_target.mass import mass_properties
 from rpod_target.mesh_files import MeshFile
-from rpod_target.parameters import MeshParameters, TargetParameters
+from rpod_target.parameters import LARGEST_M, SMALLEST_M, MeshParameters, TargetParameters, usual_size
 from rpod_target.pieces import NUDGE, Piece, Sides, outward, pieces, varied
 from rpod_target.sampling import sample_evenly
 from rpod_target.topology import creases, unit_normals
@@ -24,8 +24,6 @@ _USUAL_NODES = 4_000_000
 """Greatest number of nodes of a grid whose spacing is not given."""
 _SPACING, _MARGIN = 0.01, 0.15
 """Spacing and margin of a grid for which they are not given, over the target's longest side."""
-_SMALLEST_M, _LARGEST_M = 0.05, 500.0
-"""Longest side of a target below or above which its unit is likely wrong."""
 
 
 def build_arrays(
@@ -98,7 +96,7 @@ class _Surface:
 
 
 def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> None:
-    if _SMALLEST_M <= size_m <= _LARGEST_M or parameters.confirmed_size:
+    if usual_size(size_m) or parameters.confirmed_size:
         return
     scaled = [
         f"parts.{index}.{'longest_side_m' if part.metres_per_unit is None else 'metres_per_unit'}"
@@ -108,7 +106,7 @@ def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> 
     raise TargetError(
         source,
         scaled[0] if scaled else "parts",
-        f"the target's longest side is {size_m:.4g} m, and {_SMALLEST_M} m to {_LARGEST_M:.0f} m are usual: "
+        f"the target's longest side is {size_m:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m are usual: "
         "correct the unit, or if the size is right add confirmed_size: true to the file (--confirm-size of "
         "rpod target new)",
     )

@@ -2,6 +2,7 @@
 
 import os
 import re
+import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
 from rpod_target.mesh_files import METRIC, MeshFile, companions, read_mesh_file
-from rpod_target.parameters import MaterialParameters
+from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
 from rpod_target.proposed_materials import proposed
 from rpod_target.target import Target
 
@@ -80,8 +81,8 @@ def draft(
     Raises:
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
     """
-    mesh = _read(cad)
     told: list[str] = []
+    mesh = _read(cad, told)
     scale = _scale(cad, mesh, options, told)
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
@@ -108,13 +109,18 @@ def draft(
     return Draft(out, target, (*told, *target.repairs))
 
 
-def _read(cad: Path) -> MeshFile:
+def _read(cad: Path, told: list[str]) -> MeshFile:
     try:
         content = cad.read_bytes()
         beside = {}
         for name in companions(cad.name, content):
             if (cad.parent / name).is_file():
                 beside[name] = (cad.parent / name).read_bytes()
+            elif cad.suffix.lower() == ".obj":
+                told.append(
+                    f"the colours of its materials are not known: {name!r} is not beside {cad.name}; if you "
+                    "have it, copy it there and write the target anew"
+                )
         return read_mesh_file(cad.name, content, beside)
     except OSError as error:
         raise TargetError(cad, "", f"cannot be read ({error.strerror})") from error
@@ -146,7 +152,24 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
     if by_unit is None:
         reason = f"is missing: the longest side is {longest:.4g} units of the file, which does not say which"
         raise TargetError(cad, "--units", f"{reason}; or give --longest-side-m")
+    if not usual_size(by_unit * longest) and not options.confirmed_size:
+        raise TargetError(cad, "--units", _other_units(by_unit, longest))
     return by_unit
+
+
+def _other_units(by_unit: float, longest: float) -> str:
+    """Return why a size is refused, with the units that would give a usual one."""
+    usual = [
+        f"{scale * longest:.3g} m with {name}"
+        for name, scale in METRES.items()
+        if usual_size(scale * longest)
+    ]
+    others = f"it is {', '.join(usual)}; " if usual else ""
+    return (
+        f"makes the target's longest side {by_unit * longest:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m "
+        f"are usual: {others}or give --longest-side-m; if the size is right, give --confirm-size, which "
+        "writes confirmed_size: true"
+    )
 
 
 class _Sections:
@@ -237,7 +260,9 @@ class _Sections:
                 pairs = {self._mesh.materials[index].name: self._material(index) for index in known}
                 yield (
                     "    file_materials: "
-                    + yaml.safe_dump(pairs, default_flow_style=True, width=1 << 20).strip()
+                    + yaml.safe_dump(
+                        pairs, default_flow_style=True, width=1 << 20, allow_unicode=True
+                    ).strip()
                 )
             if self._translation_m.any():
                 yield f"    T_target_part: {{translation_m: {self._translation_m.tolist()}}}"
@@ -302,7 +327,11 @@ def _labels(names: Sequence[str]) -> dict[str, str]:
 
 
 def _label(name: str) -> str:
-    label = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-_")
+    plain = unicodedata.normalize("NFKD", name.replace("\u00df", "ss"))
+    plain = "".join(
+        letter for letter in plain if not unicodedata.combining(letter)
+    )  # letters without accents
+    label = re.sub(r"[^A-Za-z0-9_-]+", "-", plain).strip("-_")
     return label if label[:1].isalpha() else f"n-{label}".rstrip("-")
 
 
@@ -312,4 +341,8 @@ def _flow(parameters: MaterialParameters) -> str:
 
 
 def _scalar(text: str) -> str:
-    return yaml.safe_dump(text, default_flow_style=True, width=1 << 20).removesuffix("...\n").strip()
+    return (
+        yaml.safe_dump(text, default_flow_style=True, width=1 << 20, allow_unicode=True)
+        .removesuffix("...\n")
+        .strip()
+    )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rpod_schemas.arrays import FloatArray
 from rpod_target import obj_text
 from rpod_target.topology import areas_m2
+from rpod_target.unusable import unusable, without_faces
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
 """Suffixes of the files that can be read."""
@@ -88,11 +89,14 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     }
     if suffix not in FORMATS:
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
+    if reason := unusable(suffix, content):
+        raise ValueError(reason)
     if suffix == ".obj":
         content, beside = obj_text.prepared(content, beside)
-    pieces = list(_pieces(_scene(suffix, content, beside)))
+    scene = _scene(suffix, content, beside)
+    pieces = list(_pieces(scene))
     if not pieces:
-        raise ValueError("contains no triangle: export its surfaces as a mesh")
+        raise ValueError(without_faces(list(scene.geometry.values())))
     if suffix == ".obj":
         pieces.reverse()  # the reader returns them from the last to the first
     materials = tuple({piece.material.name: piece.material for piece in pieces if piece.material}.values())
@@ -179,11 +183,13 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
             )
     except FileNotFoundError as error:
         if not others.missing:
-            raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
+            raise ValueError(_unread(suffix, error)) from error
         reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
         raise ValueError(reason) from error
+    except IndexError as error:
+        raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
     except Exception as error:  # a parser of foreign files raises anything
-        raise ValueError(f"cannot be read as {suffix[1:].upper()} ({_one_line(error)})") from error
+        raise ValueError(_unread(suffix, error)) from error
 
 
 _STEP_DEFLECTION = 0.001
@@ -281,6 +287,12 @@ def _as_shown(linear: tuple[float, float, float] | None) -> tuple[float, float, 
 
 def _suffix(name: str) -> str:
     return PurePosixPath(name).suffix.lower()
+
+
+def _unread(suffix: str, error: BaseException) -> str:
+    others = ", ".join(other for other in FORMATS[:4] if other != suffix)
+    name = suffix[1:].upper()
+    return f"cannot be read as {name} ({_one_line(error)}): export it again, or in another format ({others})"
 
 
 def _one_line(error: BaseException) -> str:

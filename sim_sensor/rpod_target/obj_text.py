@@ -25,6 +25,8 @@ _POLYGON = re.compile(rb"^[ \t]*+f(?:[ \t]++[^\s#]++){4}", re.MULTILINE)
 _AFTER_SLASH = re.compile(rb"/[-0-9/]*")
 _CORNER = re.compile(rb"^[ \t]*+v[ \t]++(\S++)[ \t]++(\S++)[ \t]++(\S++)", re.MULTILINE)
 _OWN_LIBRARY = "materials.mtl"
+NO_CORNER = "has a face with a corner that is not in the file: export it again"
+"""Why a file is refused whose faces count beyond its corners."""
 
 
 def libraries(content: bytes) -> tuple[str, ...]:
@@ -91,7 +93,7 @@ class _Faces:
             index = np.array([face for face in faces if len(face) == count]).astype(np.int64)
             index = np.where(index < 0, index + before, index - 1)
             if index.min() < 0 or index.max() >= len(places):
-                raise ValueError("has a face with a corner that is not in the file: export it again")
+                raise ValueError(NO_CORNER)
             yield from _lines(index, places)
 
 

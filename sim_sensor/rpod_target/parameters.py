@@ -21,6 +21,14 @@ from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose
 from rpod_target.target import Albedo
 
+SMALLEST_M, LARGEST_M = 0.05, 500.0
+"""Longest side of a target below or above which its unit is likely wrong."""
+
+
+def usual_size(longest_side_m: float) -> bool:
+    """Return whether a target may have this longest side without a confirmation."""
+    return SMALLEST_M <= longest_side_m <= LARGEST_M
+
 
 class MaterialParameters(Config):
     """Optical properties of a surface."""

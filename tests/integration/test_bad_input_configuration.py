@@ -50,7 +50,7 @@ def written(directory: Path, document: object) -> Path:
 @pytest.mark.parametrize(
     ("verb", "changes", "field", "reason"),
     [
-        ("router", {"listen": "7447"}, "listen", "should match pattern"),
+        ("router", {"listen": "7447"}, "listen", "endpoint of Zenoh, such as tcp/127.0.0.1:7447"),
         ("motion", {"rate_hz": 0}, "rate_hz", "greater than 0"),
         ("motion", {"bus": 5}, "bus", "valid dictionary"),
         ("emulator", {"sensors": [{"kind": "radar"}]}, "sensors.0.kind", "known are lidar, pmd"),

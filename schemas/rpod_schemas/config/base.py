@@ -16,7 +16,15 @@ from rpod_schemas.errors import ConfigurationError
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+_NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
+Name = Annotated[str, Field(pattern=_NAME)]
+ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
+"""Pattern of an endpoint of Zenoh."""
+_PATTERNS = {
+    _NAME: "needs a letter, then letters, digits, '_' or '-'",
+    ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
+}
+"""What a text needs, by its pattern."""
 
 
 class Config(BaseModel):
@@ -106,7 +114,8 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
         if problem["type"] == "string_pattern_mismatch":
-            reason = f"is {problem['input']!r}; {reason}"
+            needs = _PATTERNS.get(problem.get("ctx", {}).get("pattern", ""), reason)
+            reason = f"is {problem['input']!r}; {needs}"
         if problem["type"] == "extra_forbidden":
             reason = "is not a known field; check its spelling and its place"
             if _is_tuning(model, document, problem["loc"]):

@@ -5,11 +5,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import LIVE, Config, Name, Positive
+from rpod_schemas.config.base import ENDPOINT, LIVE, Config, Name, Positive
 from rpod_schemas.config.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
-_ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 ESTIMATOR_ID = "e57a7e"
 """Default Zenoh identity of an estimator, from which the router withholds the truth."""
 
@@ -33,7 +32,7 @@ def _check_tls(field: str, endpoint: str, credentials: Path | None) -> None:
 class BusConfig(Config):
     """Connection of a service to the bus."""
 
-    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
+    connect: str = Field(default="tcp/127.0.0.1:7447", pattern=ENDPOINT)
     """Zenoh endpoint of the router."""
     domain: int = Field(default=0, ge=0, le=232)
     """ROS domain."""
@@ -85,9 +84,9 @@ class RouterConfig(Config):
     """Name of this process in its log lines."""
     log_level: Annotated[LogLevel, LIVE] = "info"
     """Least level of log lines. It changes without a restart: correct the file, then SIGHUP or ``reload``."""
-    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_ENDPOINT)
+    listen: str = Field(default="tcp/127.0.0.1:7447", pattern=ENDPOINT)
     """Zenoh endpoint to listen on."""
-    connect: tuple[Annotated[str, Field(pattern=_ENDPOINT)], ...] = ()
+    connect: tuple[Annotated[str, Field(pattern=ENDPOINT)], ...] = ()
     """Zenoh endpoints of the routers of other hosts, to which this one connects and connects again. Each
     router judges its own clients; one of the two names the other."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)

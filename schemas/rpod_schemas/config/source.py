@@ -47,6 +47,9 @@ class SourceConfig(Config):
     between two frames."""
     depth: Literal["z", "radial"] = "z"
     """Meaning of a depth image's pixels: distance along the boresight, or along the pixel's own ray."""
+    depth_unit_m: Positive | None = None
+    """Length of one unit of a depth image, m. If left out, ``32FC1`` is in metres and ``16UC1`` in
+    millimetres, as ROS has it (REP 118)."""
     axes: Literal["boresight", "forward"] = "boresight"
     """Axes of the sensor's frame and points: x right, y down, z along the boresight; or x forward, y left, z
     up (REP 103), as scanners with a turning head have them. The mount is that of the frame as it is."""

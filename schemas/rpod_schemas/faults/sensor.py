@@ -203,7 +203,7 @@ FAULTS: tuple[Fault, ...] = (
         "millimetres",
         "distances are millimetres in a field of metres",
         "unit",
-        f"{_DRIVER} send metres",
+        f"{_DRIVER} send metres, or set source.depth_unit_m of a camera",
         in_lockstep=True,
     ),
     Fault(

@@ -12,6 +12,12 @@ from rpod_schemas.messages.header import build, within, write_header
 from rpod_schemas.messages.lenses import coefficients
 from rpod_schemas.types import Camera
 
+_NO_PIXEL = (
+    "no finite pixel in the depth image; look at the sensor's cover, lamp, exposure and range, if the target "
+    "is in view"
+)
+_AMPLITUDES = "mono16, mono8 or 32FC1; a colour image is none: leave it out of source.topics"
+_CALIBRATE = "give its driver a calibration ('rpod calibrate camera' makes one)"
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "32FC1": ("<f4", 1),
     "16UC1": ("<u2", 1),
@@ -25,7 +31,8 @@ def pixel_format(encoding: str) -> tuple[np.dtype[Any], int]:
     """Return data type, little-endian, and channels of an encoding. Raises ``MessageRejectedError``."""
     if encoding not in _ENCODINGS:
         known = ", ".join(_ENCODINGS)
-        raise MessageRejectedError(Reason.WRONG_TYPE, f"encoding {encoding!r}, known are {known}")
+        text = f"encoding {encoding!r}, known are {known}; let the driver publish one of them"
+        raise MessageRejectedError(Reason.WRONG_TYPE, text)
     code, channels = _ENCODINGS[encoding]
     return np.dtype(code), channels
 
@@ -36,16 +43,9 @@ def read_image(message: Any) -> NDArray[Any]:
     if message.is_bigendian and dtype.itemsize > 1:
         dtype = dtype.newbyteorder(">")
     row = message.width * channels * dtype.itemsize
-    if (
-        message.step < row
-        or message.data.size != message.step * message.height
-        or 0 in (message.width, message.height)
-    ):
-        raise MessageRejectedError(
-            Reason.WRONG_SIZE,
-            f"{message.width} x {message.height} {message.encoding} by {message.step} "
-            f"in {message.data.size} bytes",
-        )
+    if wrong := _wrong_size(message, row):
+        text = f"{message.width} x {message.height} pixels of {message.encoding}: {wrong}; correct the driver"
+        raise MessageRejectedError(Reason.WRONG_SIZE, text)
     within(IMAGE_SIDE, "width", message.width)
     within(IMAGE_SIDE, "height", message.height)
     within(IMAGE_PIXELS, "width x height", message.width * message.height)
@@ -54,28 +54,45 @@ def read_image(message: Any) -> NDArray[Any]:
     return np.ndarray(shape, dtype, buffer=message.data, strides=strides)
 
 
-def read_depth(message: Any) -> NDArray[np.float32]:
+def _wrong_size(message: Any, row: int) -> str:
+    """Return what is wrong with an image's sizes; a row of pixels has ``row`` bytes. Empty if nothing is."""
+    if 0 in (message.width, message.height):
+        return "there are none"
+    if message.step < row:
+        return f"step is {message.step} bytes, a row needs {row}"
+    needed = message.step * message.height
+    return (
+        ""
+        if message.data.size == needed
+        else f"data has {message.data.size} bytes, step x height is {needed}"
+    )
+
+
+def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]:
     """Return depth, m, float32, of a ``32FC1`` image in metres, or of ``16UC1`` or ``mono16`` in millimetres.
 
-    Pixels without depth are NaN. An image without any finite pixel is rejected.
+    Where a driver has another unit, ``unit_m`` is its length. Pixels without depth are NaN. An image without
+    any finite pixel is rejected.
     """
     image = read_image(message)
     if message.encoding in ("16UC1", "mono16"):
-        image = np.where(image > 0, image.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
+        image = np.where(image > 0, image.astype(np.float32) * np.float32(unit_m or 1e-3), np.float32(np.nan))
     elif message.encoding != "32FC1":
         raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
+    elif unit_m is not None:
+        image = image * np.float32(unit_m)
     known = np.abs(image) <= DEPTH_M.high  # NaN is not
     if not known.all():
         within(DEPTH_M, "a pixel of the depth image", image[~known & np.isfinite(image)])
         if not known.any():
-            raise MessageRejectedError(Reason.NOT_FINITE, "no finite pixel in the depth image")
+            raise MessageRejectedError(Reason.NOT_FINITE, _NO_PIXEL)
     return image.astype(np.float32, copy=False)
 
 
 def read_amplitude(message: Any) -> NDArray[Any]:
     """Return the amplitude, shape (height, width), of a ``mono16``, ``mono8`` or ``32FC1`` image."""
     if message.encoding not in ("mono16", "mono8", "32FC1", "16UC1"):
-        raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}")
+        raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}, needs {_AMPLITUDES}")
     image = read_image(message)
     if image.dtype.kind == "f" and not (np.abs(image) <= AMPLITUDE.high).all():
         within(AMPLITUDE, "a pixel of the amplitude image", image[~np.isnan(image)])
@@ -111,10 +128,16 @@ def read_camera(message: Any) -> Camera:
     """
     K = message.k
     if not np.isfinite(K).all():
-        raise MessageRejectedError(Reason.NOT_FINITE, "camera matrix")
+        raise MessageRejectedError(Reason.NOT_FINITE, f"camera matrix {np.asarray(K).tolist()}; {_CALIBRATE}")
+    if not np.any(K):
+        raise MessageRejectedError(
+            Reason.MALFORMED, f"the camera matrix is all 0: the camera is not calibrated; {_CALIBRATE}"
+        )
     if np.any(np.asarray(K)[[1, 3, 6, 7, 8]] != (0.0, 0.0, 0.0, 0.0, 1.0)):
         raise MessageRejectedError(
-            Reason.MALFORMED, f"camera matrix {np.asarray(K).tolist()}, needs fx, 0, cx, 0, fy, cy, 0, 0, 1"
+            Reason.MALFORMED,
+            f"camera matrix {np.asarray(K).tolist()}, needs fx, 0, cx, 0, fy, cy, 0, 0, 1; "
+            "correct the driver",
         )
     within(IMAGE_SIDE, "width", message.width)
     within(IMAGE_SIDE, "height", message.height)

@@ -186,7 +186,8 @@ def values(seen: Observations) -> Verdict:
 def unit(seen: Observations) -> Verdict:
     """Judge whether distances can be metres."""
     line = "unit"
-    middles = [middle_m(kept.raw, kept.encoding) for kept in seen.kept] + seen.raw_middle_m
+    unit_m = seen.options.source.depth_unit_m
+    middles = [middle_m(kept.raw, kept.encoding, unit_m) for kept in seen.kept] + seen.raw_middle_m
     middles = [middle for middle in middles if np.isfinite(middle)]
     if not middles:
         return unchecked(line, "no frame with a return could be read")

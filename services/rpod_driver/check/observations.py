@@ -262,7 +262,7 @@ class Observer:
         except MessageRejectedError as error:
             self.seen.refused.append((error.reason, error.text))
             if raw.size:
-                self.seen.raw_middle_m.append(middle_m(raw, encoding))
+                self.seen.raw_middle_m.append(middle_m(raw, encoding, self._source.depth_unit_m))
             return
         self.seen.frame_ids.add(read.frame_id)
         self.seen.kept.append(Kept(number, read, raw, encoding))
@@ -290,12 +290,16 @@ def _raw(received: Received) -> tuple[NDArray[Any], str]:
     return np.zeros(0), str(getattr(message, "format", ""))
 
 
-def middle_m(raw: NDArray[Any], encoding: str) -> float:
-    """Return the median distance in a leading message as it was sent, m; NaN if there is none."""
+def middle_m(raw: NDArray[Any], encoding: str, unit_m: float | None = None) -> float:
+    """Return the median distance in a leading message as it was sent, m; NaN if there is none.
+
+    ``unit_m`` is the length of one unit of a depth image, where it is not that of its encoding.
+    """
     if encoding in ("16UC1", "mono16"):
-        values: NDArray[Any] = raw[raw > 0] * 1e-3
+        values: NDArray[Any] = raw[raw > 0] * (unit_m or 1e-3)
     elif encoding:
         values = raw[np.isfinite(raw) & (raw > 0)] if raw.dtype.kind == "f" else np.zeros(0)
+        values = values * (unit_m or 1.0)
     else:
         values = ranges_m(raw)
     return float(np.median(values)) if values.size else float("nan")

@@ -101,6 +101,8 @@ def test_a_sensor_that_never_sends_is_told():
         (-5.0, 10**18, "source.clock_offset_s"),
         (7200.01, 10**18, "is it local time?"),
         (-1.7e9, 10**9, "count from the start of the device"),
+        (-1.7e9, 0, "let the driver set header.stamp"),
+        (-1.7e9 + 1.7e3, 1_700_000_000_123, "are they milliseconds in place of nanoseconds?"),
     ],
 )
 def test_a_clock_that_is_off_gets_a_hint(ahead_s, stamp_ns, words):
@@ -130,3 +132,9 @@ def test_a_frame_without_a_part_says_which_one_and_how_far_off_it_is(step_ns, wo
     assert {loss.kind for loss in losses} == {"unpaired"}
     assert all(words in loss.text for loss in losses)
     assert assembler.take_given_up() == []
+
+
+def test_a_doubt_about_used_frames_is_told():
+    book, now_s = book_after([None] * 30)
+    book.doubt = "all pixels of its amplitude are 128; correct its driver"
+    assert book.state(now_s) == (Health.WARN, "pmd: all pixels of its amplitude are 128; correct its driver")

@@ -183,6 +183,14 @@ def test_the_third_frame_of_the_same_content_is_refused_as_frozen_until_another_
     assert arrived.measurement is not None
 
 
+def test_an_amplitude_that_is_the_same_everywhere_is_a_doubt_and_no_refusal():
+    bench = Bench()
+    bench.send_frame(NOW_NS)
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is not None
+    assert arrived.doubt.startswith("all pixels of its amplitude are")
+
+
 def test_scans_without_any_return_are_alike_and_not_frozen():
     bench = lidar_bench()
     nothing = {name: np.full((2, 3), np.nan, np.float32) for name in CLOUD}

@@ -52,6 +52,50 @@ def test_compressed_depth_of_16uc1_loses_nothing():
     np.testing.assert_allclose(PmdReader().read(sent).depth_m, DEPTH_MM * 1e-3, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("encoding", "unit_m"), [("32FC1", 1e-3), ("16UC1", 1e-4)])
+def test_depth_in_another_unit_is_read_with_that_unit(encoding, unit_m):
+    sent = DEPTH_MM.astype(np.float32) if encoding == "32FC1" else DEPTH_MM
+    reader = PmdReader(SourceConfig(depth_unit_m=unit_m))
+    np.testing.assert_allclose(
+        reader.read(frame(plain(sent, encoding))).depth_m, DEPTH_MM * unit_m, rtol=1e-6
+    )
+
+
+def broken(**changes):
+    message = plain(DEPTH_MM, "16UC1")
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("depth", "amplitude", "told"),
+    [
+        (broken(step=60), None, "step is 60 bytes, a row needs 120; correct the driver"),
+        (broken(data=np.zeros(100, np.uint8)), None, "data has 100 bytes, step x height is 4800; correct"),
+        (broken(encoding="depth_f32"), None, r"known are 32FC1, .*; let the driver publish one of them"),
+        (None, broken(encoding="16UC4", width=15), r"needs mono16, mono8 or 32FC1; .*source.topics"),
+        (
+            plain(np.full((40, 60), np.nan, np.float32), "32FC1"),
+            None,
+            r"no finite pixel .*; look at the sensor",
+        ),
+    ],
+)
+def test_an_image_that_cannot_be_used_is_refused_with_figures_and_remedy(depth, amplitude, told):
+    with pytest.raises(PartRejectedError, match=told):
+        PmdReader().read(frame(plain(DEPTH_MM, "16UC1") if depth is None else depth, amplitude))
+
+
+def test_a_camera_info_without_a_calibration_is_refused_with_the_remedy():
+    sent = frame(plain(DEPTH_MM, "16UC1"))
+    message = write_camera(1, "c", CAMERA)
+    message.k = np.zeros(9)
+    sent.parts["camera_info"] = received(CAMERA_INFO.of("pmd"), message)
+    with pytest.raises(PartRejectedError, match=r"is not calibrated; .*rpod calibrate camera"):
+        PmdReader().read(sent)
+
+
 @pytest.mark.parametrize(("suffix", "most"), [(".png", 0), (".jpg", 3)])
 def test_a_compressed_amplitude_is_read(suffix, most):
     image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 200, (40, 60), np.uint8), (0, 0), 4)

@@ -63,7 +63,7 @@ def test_the_longest_side_decides_over_the_unit_and_that_is_told(cad: Path, cach
     [
         (DraftOptions(), "--units: is missing: the longest side is 4 units"),
         (DraftOptions(units="inch"), "--units: is 'inch', known are m, dm, cm"),
-        (DraftOptions(units="mm"), "confirmed_size: true"),
+        (DraftOptions(units="mm"), "longest side 0.004 m.*4 m with m, 0.4 m with dm.*--confirm-size"),
     ],
 )
 def test_a_scale_that_is_not_known_is_refused_and_no_file_is_left(
@@ -72,6 +72,15 @@ def test_a_scale_that_is_not_known_is_refused_and_no_file_is_left(
     with pytest.raises(TargetError, match=reason):
         draft(cad, cad.with_suffix(".yaml"), options, cache=cache)
     assert not cad.with_suffix(".yaml").exists()
+
+
+def test_names_keep_their_letters_and_a_library_that_is_missing_is_told(cad: Path, cache: Path) -> None:
+    cad.with_name("colours.mtl").unlink()
+    other = cad.rename(cad.with_name("Größe 1.obj"))
+    made = draft(other, cad.with_suffix(".yaml"), DraftOptions(units="m", mass_kg=5.0), cache=cache)
+    assert made.target.name == "Grosse-1"
+    assert "file: Größe 1.obj" in made.file.read_text(encoding="utf-8")
+    assert any("'colours.mtl' is not beside Größe 1.obj" in text for text in made.told)
 
 
 def test_symmetries_are_found_and_written(cad: Path, cache: Path) -> None:

@@ -264,12 +264,31 @@ def test_an_unknown_object_is_refused_with_the_known_ones(build: Build, tmp_path
         build(part)
 
 
+STL = b"solid made by a CAD program".ljust(80) + (4).to_bytes(4, "little") + bytes(4 * 50)
+CLOUD = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"end_header\n0 0 0\n1 0 0\n0 1 0\n"
+)
+DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("hull.stl", b"", "STL|no triangle"),
-        ("hull.stl", b"ISO-10303-21; a STEP file", "STL|no triangle"),
-        ("hull.obj", b"v 0 0 0\nv 1 0 0\n", "no triangle"),
+        ("hull.stl", b"", r"is empty \(0 bytes\): copy or export it again"),
+        ("hull.stl", b"hello\n", "is no STL, neither binary nor text: export it again"),
+        ("hull.stl", b"ISO-10303-21; a STEP file", "content is STEP: give it the suffix .step"),
+        ("hull.stl", STL[:-60], "ends after 2 of 4 triangles: copy or export it again"),
+        ("hull.stl", STL[:80] + bytes(4) + STL[84:], "announces 0 triangles, but 4 follow"),
+        ("hull.obj", STL, "is named .obj, but its content is STL: give it the suffix .stl"),
+        ("hull.obj", b"v 0 0 0\nv 1 0 0\nl 1 2\n", "2 points and no face.*make a mesh of it"),
+        ("hull.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face with a corner that is not in the file"),
+        ("hull.ply", CLOUD, "3 points and no face, so it is a point cloud"),
+        (
+            "hull.gltf",
+            json.dumps(DRACO).encode(),
+            "KHR_draco_mesh_compression.*export it without compression",
+        ),
         ("hull.ply", b"ply\nnonsense", "cannot be read as PLY"),
         ("hull.glb", b"glTF but short", "cannot be read as GLB"),
         ("hull.gltf", json.dumps({"buffers": [{"uri": "gone.bin"}]}).encode(), "GLTF|gone"),

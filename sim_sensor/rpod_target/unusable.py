@@ -1,0 +1,88 @@
+"""Why a CAD file cannot be used, where its bytes say more than its reader does.
+
+The reader accepts a file that was cut off, has another format than its name says or is compressed as an empty
+mesh, or as one whose corners are all at the origin. So the bytes are looked at before.
+"""
+
+import json
+import struct
+from typing import Any
+
+_STL_HEADER = 84
+_STL_TRIANGLE = 50
+_SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
+_NAMES = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".gltf": "GLTF", ".glb": "GLB"} | dict.fromkeys(
+    (".step", ".stp"), "STEP"
+)
+_COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+
+
+def unusable(suffix: str, content: bytes) -> str:
+    """Return why the bytes of a CAD file cannot be used and what to do, or an empty text.
+
+    Args:
+        suffix: that of the file's name, with the dot, in small letters.
+        content: bytes of the file.
+    """
+    if not content:
+        return "is empty (0 bytes): copy or export it again"
+    own = _NAMES[suffix]
+    is_ = _format(content)
+    if is_ not in {"", own}:
+        return f"is named {suffix}, but its content is {is_}: give it the suffix .{is_.lower()}"
+    if own == "STL":
+        return _cut_stl(content)
+    if own in {"GLTF", "GLB"}:
+        return _compressed(content)
+    return ""
+
+
+def without_faces(geometries: list[Any]) -> str:
+    """Return why the geometries of a file without a triangle cannot be used, and what to do."""
+    points = sum(len(getattr(each, "vertices", ())) for each in geometries)
+    if points:
+        return (
+            f"has {points} points and no face, so it is a point cloud or a drawing of lines: export its "
+            "surfaces as a mesh, or make a mesh of it (as MeshLab and CloudCompare do)"
+        )
+    return "contains no triangle: export its surfaces as a mesh"
+
+
+def _format(content: bytes) -> str:
+    """Return the format that the first bytes or the length are proof of, or an empty text."""
+    for signature, name in _SIGNATURES.items():
+        if content.startswith(signature):
+            return name
+    announced = _announced(content)
+    return "STL" if announced and len(content) == _STL_HEADER + _STL_TRIANGLE * announced else ""
+
+
+def _announced(content: bytes) -> int:
+    """Return how many triangles a binary STL announces."""
+    return int(struct.unpack_from("<I", content, 80)[0]) if len(content) >= _STL_HEADER else 0
+
+
+def _cut_stl(content: bytes) -> str:
+    if b"\0" not in content:  # text
+        whole = b"facet" in content or content.lstrip().startswith(b"solid")
+        return "" if whole else "is no STL, neither binary nor text: export it again"
+    announced = _announced(content)
+    has = max(len(content) - _STL_HEADER, 0) // _STL_TRIANGLE
+    if has < announced:
+        return f"ends after {has} of {announced} triangles: copy or export it again"
+    if not announced and has:
+        return f"announces 0 triangles, but {has} follow: export it again"
+    return ""
+
+
+def _compressed(content: bytes) -> str:
+    text = content
+    if content.startswith(b"glTF") and len(content) >= 20:
+        length = struct.unpack_from("<I", content, 12)[0]
+        text = content[20 : 20 + length]
+    try:
+        needed = json.loads(text).get("extensionsRequired", [])
+    except (ValueError, AttributeError):
+        return ""  # its reader refuses it
+    found = [name for name in _COMPRESSIONS if isinstance(needed, list) and name in needed]
+    return f"is compressed ({found[0]}), which is not read: export it without compression" if found else ""
