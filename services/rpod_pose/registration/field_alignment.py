@@ -20,7 +20,6 @@ from rpod_pose.registration.gauss_newton import Fit, Linear, State, linearises, 
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_target
 from rpod_pose.registration.normal_equations import (
     UNKNOWNS,
-    add_range_bias,
     add_residual,
     geman_mcclure,
     no_sums,
@@ -75,52 +74,35 @@ class FieldProblem(NamedTuple):
 
 
 @kernel
-def add_field_points(  # noqa: PLR0917
-    sums: FloatArray, points: Points, state: State, field: FieldArrays, scale: float, biased: bool
+def add_field_points(
+    sums: FloatArray, points: Points, pose: PoseArrays, field: FieldArrays, scale: float
 ) -> FieldEvidence:
     """Add the factors of points in a distance field to the sums, shape (35,); return their evidence.
 
-    If ranges are too long by the bias b, a point lies at q - b d, d its ray in target axes: the residual's
-    derivative by b is minus the gradient along the ray. A point whose nearest face is turned away from the
-    sensor belongs to the face in front of it, as far as twice the scale; without one it has no residual.
+    A point whose nearest face is turned away from the sensor belongs to the face in front of it, as far as
+    twice the scale; without one it has no residual.
 
     Args:
         sums: information and gradient, input and output.
         points: N measured points.
-        state: pose and bias to linearise at.
+        pose: pose to linearise at.
         field: the target's distance field.
         scale: Geman-McClure scale, m, above 0.
-        biased: whether the bias is an unknown; otherwise it stays as it is.
     """
-    R, t, bias = state.pose.R, state.pose.t, state.bias_m
+    R, t = pose.R, pose.t
     places, trust, c2 = points.places_m, points.trust, scale * scale
-    origin, per_m, values = field.origin_m, 1.0 / field.spacing_m, field.values
     weights, squares, inliers, trusted = 0.0, 0.0, 0, 0.0
     for n in range(places.shape[0]):
         px, py, pz = places[n, 0], places[n, 1], places[n, 2]
         ray, range_m = in_target(R, px, py, pz), np.sqrt(px * px + py * py + pz * pz)
-        x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
-        if bias != 0.0:  # the division delays the look-up below, and most problems do not need it
-            back = bias / range_m
-            x, y, z = x - back * ray.x, y - back * ray.y, z - back * ray.z
-        distance, slope = distance_and_gradient(
-            (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
-        )
-        g, place = Vector(slope.x * per_m, slope.y * per_m, slope.z * per_m), Vector(x, y, z)
-        along = g.x * ray.x + g.y * ray.y + g.z * ray.z
-        if along > AWAY * range_m:
-            towards = Vector(-ray.x / range_m, -ray.y / range_m, -ray.z / range_m)
-            front = _face_in_front(field, place, towards, abs(distance), 2.0 * scale)
-            g, distance = front.gradient, front.distance
-            along = g.x * ray.x + g.y * ray.y + g.z * ray.z
-            if along == 0.0:
-                continue
+        place = in_target(R, px - t[0], py - t[1], pz - t[2])
+        distance, g = seen_sample(field, place, ray, range_m, 2.0 * scale)
+        if g.x == 0.0 and g.y == 0.0 and g.z == 0.0:
+            continue
         d2 = distance * distance
         weight = trust[n] * geman_mcclure(d2, c2)
         weights += weight
         add_residual(sums, g, place, distance, weight)
-        if biased:
-            add_range_bias(sums, g, place, -along / range_m, distance, weight)
         inlier = (
             1 if d2 < c2 else 0
         )  # no branch, because the processor would predict it wrongly half of the time
@@ -128,6 +110,34 @@ def add_field_points(  # noqa: PLR0917
         squares += inlier * trust[n] * d2
         trusted += inlier * trust[n]
     return FieldEvidence(weights, squares, inliers, trusted)
+
+
+@kernel
+def seen_sample(field: FieldArrays, place: Vector, ray: Vector, range_m: float, reach: float) -> FieldSample:
+    """Return the distance of a place from the nearest face that the sensor can see, and its gradient.
+
+    If the nearest face is turned away from the sensor, it is that of the face in front, as far as ``reach``;
+    the gradient is 0 if there is none.
+
+    Args:
+        field: the target's distance field.
+        place: the place, target axes, m.
+        ray: vector from the sensor to the measured point, target axes, of any length.
+        range_m: this length.
+        reach: longest way to a face in front, m.
+    """
+    origin, per_m = field.origin_m, 1.0 / field.spacing_m
+    distance, slope = distance_and_gradient(
+        (place.x - origin[0]) * per_m,
+        (place.y - origin[1]) * per_m,
+        (place.z - origin[2]) * per_m,
+        field.values,
+    )
+    g = Vector(slope.x * per_m, slope.y * per_m, slope.z * per_m)
+    if g.x * ray.x + g.y * ray.y + g.z * ray.z > AWAY * range_m:
+        towards = Vector(-ray.x / range_m, -ray.y / range_m, -ray.z / range_m)
+        return _face_in_front(field, place, towards, abs(distance), reach)
+    return FieldSample(distance, g)
 
 
 @kernel
@@ -167,7 +177,7 @@ def field_equations(problem: FieldProblem, state: State, step: int) -> Linear[Fi
     """Return the normal equations of points in a distance field, of the pose alone."""
     scale = problem.scales_m[step]
     sums, hold = no_sums(), np.ones(UNKNOWNS)
-    evidence = add_field_points(sums, problem.points, state, problem.field, scale, False)
+    evidence = add_field_points(sums, problem.points, state.pose, problem.field, scale)
     variance = (SPREAD * scale) ** 2
     hold[:3] = variance / REACH_M**2
     hold[3:6] = variance / REACH_RAD**2

@@ -12,6 +12,7 @@ import numpy as np
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -23,7 +24,7 @@ from rpod_pose.pmd.joint.edge_search import (
 )
 from rpod_pose.pmd.joint.expected_edges import ExpectedEdges
 from rpod_pose.registration.distance_field import FieldArrays
-from rpod_pose.registration.field_alignment import FieldEvidence, Points, add_field_points
+from rpod_pose.registration.field_alignment import FieldEvidence, Points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import (
@@ -88,12 +89,16 @@ class EdgeErrors(NamedTuple):
     """Greatest number of samples that count, since neighbours share their errors."""
     reach_px: float
     """Half length of the search in the last steps; edges count less while it is longer."""
+    px_per_m: float = 0.0
+    """Motion in the image by a motion across the sight, at the depth of what is seen."""
 
 
 class JointProblem(NamedTuple):
     """Points and edges of a frame to be aligned with the target."""
 
     points: Points
+    planes: Planes
+    """Planes of the faces that the points' pixels show near the pose."""
     field: FieldArrays
     sight: EdgeSight
     depth_errors: DepthErrors
@@ -230,10 +235,8 @@ class Shares(NamedTuple):
 
 
 @kernel
-def _shares(
-    problem: JointProblem, points: FieldEvidence, edges: EdgeEvidence, z: float, reach: float
-) -> Shares:
-    """Return the weights of the sums over all points and all edges, with the target at a depth z, m."""
+def _shares(problem: JointProblem, points: FieldEvidence, edges: EdgeEvidence, reach: float) -> Shares:
+    """Return the weights of the sums over all points and all edges."""
     depth, edge_errors = problem.depth_errors, problem.edge_errors
     of_points, of_edges = 0.0, 0.0
     if points.inliers > 0:
@@ -241,12 +244,11 @@ def _shares(
         variance = max(squares / weight, depth.noise_m**2) / min(depth.most_points, weight)
         of_points = 1.0 / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
     if edges.inliers > 0:
-        px_per_m = problem.sight.lens.fx / max(z, NEAREST_M)
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
         variance /= min(edge_errors.most_edges, edges.inliers)
         widened = (reach / edge_errors.reach_px) ** 4
         variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
-        of_edges = 1.0 / (edges.inliers * widened * (variance + (depth.slack_m * px_per_m) ** 2))
+        of_edges = 1.0 / (edges.inliers * widened * (variance + (depth.slack_m * edge_errors.px_per_m) ** 2))
     return Shares(of_points, of_edges)
 
 
@@ -254,9 +256,9 @@ def _shares(
 def joint_shares(problem: JointProblem, state: State) -> Shares:
     """Return the weights of points and edges in the last step of a problem, at a pose."""
     scale, reach = problem.schedule[-1]
-    points = add_field_points(no_sums(), problem.points, state, problem.field, scale, True)
+    points = add_depth_points(no_sums(), problem.points, problem.planes, state, problem.field, scale)
     edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors.noise_px)
-    return _shares(problem, points, edges, state.pose.t[2], reach)
+    return _shares(problem, points, edges, reach)
 
 
 @kernel
@@ -264,7 +266,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     """Return the information of some points and edges with the weights of all of them, shape (7, 7)."""
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
-    add_field_points(sums, problem.points, state, problem.field, scale, True)
+    add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
     add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors.noise_px)
     return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
 
@@ -281,9 +283,9 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     depth, pose = problem.depth_errors, state.pose
     scale, reach = problem.schedule[step]
     of_points, of_edges, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
-    points = add_field_points(of_points, problem.points, state, problem.field, scale, True)
+    points = add_depth_points(of_points, problem.points, problem.planes, state, problem.field, scale)
     edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors.noise_px)
-    shares = _shares(problem, points, edges, pose.t[2], reach)
+    shares = _shares(problem, points, edges, reach)
     of_points, of_edges = shares.points * of_points, shares.edges * of_edges
     parts = np.zeros((3, SUMS))
     if points.inliers > 0:

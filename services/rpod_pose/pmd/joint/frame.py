@@ -65,6 +65,10 @@ class JointFrame:
     """Median amplitude of the pixels with depth; 0 if these are too few."""
     points_m: FloatArray
     """Points of the depth, sensor axes, shape (N, 3)."""
+    pixel: NDArray[np.intp]
+    """Row-major index of each point's coarse pixel, shape (N,)."""
+    away_m: float
+    """Median z of the points within the target's bounding sphere; that of its origin without any."""
     noise_m: float
     """Median standard deviation of the points' noise; 0 without points."""
     white_m2: float
@@ -147,6 +151,8 @@ class JointFrame:
             shade,
             typical,
             points_m,
+            measured,
+            _away_m(points_m, t, radius_m),
             noise_m,
             float((trust * noise) @ (trust * noise)) / whole,
             float(trust @ noise**2) / whole,
@@ -184,6 +190,13 @@ def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatAr
     """
     scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
     return 1.0 / (1.0 + (scale_m / (other_m * np.maximum(strength, 1e-9))) ** 2)
+
+
+def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
+    """Return the depth of what is seen of a target. Its origin may lie beside or behind a close camera."""
+    own = np.square(points_m - t).sum(axis=1) < radius_m**2
+    z_m = np.median(points_m[own, 2]) if own.any() else t[2]
+    return max(float(z_m), NEAR_M)
 
 
 def _stride(frame: PmdFrame, around: _Window, *, radius_px: float, points: int) -> int:

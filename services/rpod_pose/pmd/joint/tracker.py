@@ -26,6 +26,7 @@ from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.belief import frame_belief
+from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_consistency import (
     by_distances,
     edges_in_place,
@@ -60,7 +61,7 @@ from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd_joint import JointConfig
 from rpod_schemas.poses import pose_of
@@ -108,7 +109,8 @@ class JointTracker:
         self._full = np.vstack((coarse, self._narrow))
         self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
         self._near_m = max(tuning.near_depth_share * target.radius_m, self._ranges.bias_m)
-        self._coarse = SurfaceModel.of(target).coarse_field
+        surface = SurfaceModel.of(target)
+        self._coarse, self._faces = surface.coarse_field, surface.faces
         self._depth_errors = DepthErrors(
             tuning.depth.noise_m,
             float(tuning.depth.effective_points),
@@ -192,37 +194,44 @@ class JointTracker:
 
     def _aligned(
         self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray
-    ) -> tuple[JointFit, EdgeSight]:
-        """Return the pose after one step for each row of a schedule, and the edges of the last steps.
+    ) -> tuple[JointFit, JointProblem]:
+        """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
-        The schedule has the shape (S, 2) as in ``JointProblem``.
+        The schedule has the shape (S, 2) as in ``JointProblem``. The first steps are made in the distance
+        field, the last ones to the planes of the faces that the pixels show.
         """
-        points = Points(seen.points_m, seen.trust)
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
-            state = align(self._problem(seen, points, sight, first), state).state
-        sight = self._sight_at(seen, sight, state.pose)
-        return align(self._problem(seen, points, sight, last), state), sight
+            state = align(self._problem(seen, sight, first), state).state
+        problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last)
+        problem = problem._replace(planes=self._planes(seen, state.pose))
+        return align(problem, state), problem
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
         depth = self._tuning.depth
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
-    def _problem(
-        self, seen: JointFrame, points: Points, sight: EdgeSight, schedule: FloatArray
-    ) -> JointProblem:
+    def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
         errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
-        return JointProblem(points, self._field, sight, errors, self._edge_errors, schedule)
+        points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
+        edges = self._edge_errors._replace(px_per_m=seen.lens.fx / seen.away_m)
+        return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
+
+    def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:
+        """Return the planes of the faces that the points' pixels show at a pose."""
+        buffers = self._buffers_of(seen.view)
+        cast_faces(seen.view.coarse.arrays, self._faces, pose.R, pose.t, buffers)
+        return Planes.of(self._faces, buffers.triangle.ravel()[seen.pixel])
 
     def _sight_at(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> EdgeSight:
         """Return the edges that the image should show at a pose: those given if it is near enough."""
         moved = moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
         return sight if moved < STILL_PX else self._sight(seen, pose)
 
-    def _registered(self, seen: JointFrame, fit: JointFit, sight: EdgeSight, steps: int) -> Registration:
+    def _registered(self, seen: JointFrame, fit: JointFit, last: JointProblem, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
         ((R, t), bias), _, (depth, found, _, _) = fit
@@ -241,7 +250,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        covariance, parts = self._uncertainty(seen, fit, sight)
+        covariance, parts = self._uncertainty(seen, fit, last)
         both = (source := self._source(points, checked)) is Source.PMD_JOINT
         return Registration(
             source,
@@ -258,24 +267,23 @@ class JointTracker:
             by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
 
-    def _uncertainty(self, seen: JointFrame, fit: JointFit, sight: EdgeSight) -> Uncertainty:
+    def _uncertainty(self, seen: JointFrame, fit: JointFit, last: JointProblem) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
-        sight = self._sight_at(seen, sight, fit.state.pose)
-        problem = self._problem(seen, Points(seen.points_m, seen.trust), sight, self._near[-1:])
+        sight = self._sight_at(seen, last.sight, fit.state.pose)
+        problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
         whole = alone
         if self._model_error.matters:
             whole = self._considered(seen, fit, problem, shares, alone)
-        camera = seen.view.camera
         return uncertainty(
             fit,
             alone,
             whole,
             lines=line_sums(problem, fit.state, shares, self._lines),
             bias_m=self._depth_errors.bias_m,
-            radius_px=camera.fx * self._target.radius_m / max(float(fit.state.pose.t[2]), NEAREST_M),
-            wider=max(1.0, self._fills(seen, fit.state.pose.t)) ** 2,
+            radius_px=self._radius_px(seen),
+            wider=max(1.0, self._fills(seen)),
         )
 
     def _considered(
@@ -293,7 +301,8 @@ class JointTracker:
             of_points, of_edges = np.split(cells == cell, [len(points_m)])
             points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
             expected = sight.expected.only(of_edges)
-            own = problem._replace(points=points, sight=sight._replace(expected=expected))
+            planes = problem.planes.only(of_points)
+            own = problem._replace(points=points, planes=planes, sight=sight._replace(expected=expected))
             parts.append(cell_information(own, fit.state, shares))
             centres_m.append(places_m[cells == cell].mean(axis=0))
         if not parts:
@@ -312,7 +321,7 @@ class JointTracker:
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float:
         """Return the share of the expected edges that are near their place at a pose."""
         tuning = self._tuning
-        wider = float(np.clip(2.0 * self._fills(seen, pose.t), 1.0, MOST_WIDER))
+        wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
         if found.checked < tuning.verdict.min_edges:
@@ -369,11 +378,13 @@ class JointTracker:
         row, column = (n * (offset - int(first)) + n // 2 for first in (seen.patch.row, seen.patch.column))
         return FineRanges(self._renderer.cast(seen.rays, pose).range_m, n, row, column)
 
-    def _fills(self, seen: JointFrame, t: FloatArray) -> float:
+    def _radius_px(self, seen: JointFrame) -> float:
+        """Return the target's radius in the image, at the depth of what is seen, px."""
+        return float(seen.view.camera.fx * self._target.radius_m / seen.away_m)
+
+    def _fills(self, seen: JointFrame) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
-        camera = seen.view.camera
-        radius_px = camera.fx * self._target.radius_m / max(float(t[2]), NEAREST_M)
-        return radius_px / min(camera.width, camera.height)
+        return self._radius_px(seen) / min(seen.view.camera.width, seen.view.camera.height)
 
     def _source(self, points: int, edges: int) -> Source:
         if edges < self._tuning.verdict.min_edges:
