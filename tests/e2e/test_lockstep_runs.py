@@ -6,6 +6,7 @@ others. Three of them have the same seed, with three hash seeds of Python.
 
 import subprocess
 import sys
+from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -172,9 +173,13 @@ def test_facilities_at_the_same_time_have_nothing_in_common(runs):
         with open_log(run.log) as log:
             endpoints |= {service["bus"]["connect"] for service in log.configuration.values()}
             identities.add(log.configuration["estimator"]["zenoh_id"])
-            names = [value.name for logged in log.messages(DIAGNOSTICS) for value in logged.decode().status]
-            first = [logged for logged in log.messages(DIAGNOSTICS) if logged.sequence == 1]
-        assert len(first) == len(set(names)), "one publisher of each name"
+            numbers = Counter(
+                (value.name, logged.sequence)
+                for logged in log.messages(DIAGNOSTICS)
+                for value in logged.decode().status
+            )
+        assert {name for name, _ in numbers} == {"motion", "emulator", "estimator", "logger", "supervisor"}
+        assert set(numbers.values()) == {1}, "one publisher of each name"
     assert len(endpoints) == len(identities) == len(runs)
 
 
