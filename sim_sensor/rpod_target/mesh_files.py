@@ -62,10 +62,10 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
         return obj_text.libraries(content)
     if suffix == ".gltf":
         try:
-            buffers = json.loads(content).get("buffers", [])
-        except (ValueError, AttributeError):
-            return ()
-        names = [entry.get("uri", "") for entry in buffers if isinstance(entry, dict)]
+            buffers = json.loads(content)["buffers"]
+            names = [str(entry.get("uri", "")) for entry in buffers]
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+            return ()  # its reader refuses what is no glTF
         return tuple(uri for uri in names if uri and not uri.startswith("data:"))
     return ()
 

@@ -33,7 +33,7 @@ def unusable(suffix: str, content: bytes) -> str:
     if own == "STL":
         return _cut_stl(content)
     if own in {"GLTF", "GLB"}:
-        return _compressed(content)
+        return _wrong_gltf(content)
     return ""
 
 
@@ -63,8 +63,11 @@ def _announced(content: bytes) -> int:
 
 
 def _cut_stl(content: bytes) -> str:
-    if b"\0" not in content:  # text
-        whole = b"facet" in content or content.lstrip().startswith(b"solid")
+    starts = content.lstrip().startswith(b"solid")
+    if starts and b"facet" in content:
+        return ""  # text; a binary file's header may begin with "solid" too
+    if b"\0" not in content:
+        whole = starts or b"facet" in content
         return "" if whole else "is no STL, neither binary nor text: export it again"
     announced = _announced(content)
     has = max(len(content) - _STL_HEADER, 0) // _STL_TRIANGLE
@@ -75,14 +78,14 @@ def _cut_stl(content: bytes) -> str:
     return ""
 
 
-def _compressed(content: bytes) -> str:
-    text = content
-    if content.startswith(b"glTF") and len(content) >= 20:
+def _wrong_gltf(content: bytes) -> str:
+    text, binary = content, content.startswith(b"glTF")
+    if binary and len(content) >= 20:
         length = struct.unpack_from("<I", content, 12)[0]
         text = content[20 : 20 + length]
     try:
         needed = json.loads(text).get("extensionsRequired", [])
-    except (ValueError, AttributeError):
-        return ""  # its reader refuses it
+    except (ValueError, AttributeError, RecursionError):
+        return "" if binary else "is no glTF, whose text is one JSON object: export it again"
     found = [name for name in _COMPRESSIONS if isinstance(needed, list) and name in needed]
     return f"is compressed ({found[0]}), which is not read: export it without compression" if found else ""

@@ -289,6 +289,7 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
             json.dumps(DRACO).encode(),
             "KHR_draco_mesh_compression.*export it without compression",
         ),
+        ("hull.gltf", b"[" * 100_000, "is no glTF, whose text is one JSON object"),
         ("hull.ply", b"ply\nnonsense", "cannot be read as PLY"),
         ("hull.glb", b"glTF but short", "cannot be read as GLB"),
         ("hull.gltf", json.dumps({"buffers": [{"uri": "gone.bin"}]}).encode(), "GLTF|gone"),
@@ -298,6 +299,12 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
 def test_what_is_no_usable_file_is_refused_with_a_reason(name: str, content: bytes, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         read_mesh_file(name, content, {})
+
+
+def test_a_text_with_a_zero_byte_at_its_end_is_read_as_the_text_that_it_is() -> None:
+    corners = b"".join(b"vertex %d %d 0\n" % corner for corner in ((0, 0), (1, 0), (0, 1)))
+    text = b"solid a\nfacet normal 0 0 1\nouter loop\n" + corners + b"endloop\nendfacet\nendsolid a\n"
+    assert len(read_mesh_file("hull.stl", text + b"\0", {}).triangles) == 1
 
 
 # ---- units and mass

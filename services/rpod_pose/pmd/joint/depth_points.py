@@ -1,10 +1,10 @@
 """Residuals of measured points: distances from the planes of the faces that their pixels show.
 
-The distance field needs no correspondence, so that it draws a pose in from afar. But it is known on the nodes
-of a grid alone, and trilinear between them. Around convex edges, and around parts that are thinner than a
-cell, it says that the surface itself lies outside: by a share of a cell, which is far more than the noise of
-the ranges if the target is large and the camera close. Where a rendering near the pose tells on which face a
-pixel's ray ends, the residual is the distance from the plane of that face, which is exact (projective point
+The distance field needs no correspondence, so that a pose converges in it from afar. But it is known on the
+nodes of a grid alone, and trilinear between them. Around convex edges, and around parts that are thinner than
+a cell, it says that the surface itself lies outside: by a share of a cell, which is far more than the noise
+of the ranges if the target is large and the camera close. Where a rendering near the pose tells on which face
+a pixel's ray ends, the residual is the distance from the plane of that face, which is exact (projective point
 to plane, G. Blais, M. D. Levine, IEEE PAMI 17, 1995).
 
 At an outline a pixel may show another face than the rendering. The field is off by a cell at most, so that a
