@@ -1,4 +1,5 @@
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,29 @@ SOURCES = sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*
 
 COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 """The decorator itself."""
+
+CROWDED = 15
+"""Most modules of a folder in which a reader still finds a file."""
+BUSY = ("rpod_pose", "rpod_campaign", "rpod_analysis")
+ROOMS = sorted({file.parent for file in SOURCES if any(name in file.parts for name in BUSY)})
+NO_CODE = {"rpod_msgs"}
+"""Definitions of messages, which import nothing."""
+
+
+@pytest.mark.parametrize("folder", ROOMS, ids=lambda folder: str(folder.relative_to(ROOT)))
+def test_no_folder_of_pose_estimation_campaigns_and_analysis_is_crowded(folder):
+    assert len(list(folder.glob("*.py"))) <= CROWDED
+
+
+def test_every_package_stands_in_the_contract_of_layers():
+    """Import-linter checks only the packages that are named; a new one must not be left out."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]
+    inits = [file for file in SOURCES if file.name == "__init__.py"]
+    packages = {file.parent.name for file in inits if file.parents[1].name in FOLDERS} - NO_CODE
+    assert len(packages) >= 17
+    assert set(settings["root_packages"]) == packages
+    layers = settings["contracts"][0]["layers"]
+    assert sorted(name.strip() for layer in layers for name in layer.split("|")) == sorted(packages)
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
