@@ -30,7 +30,7 @@ StampSource = Literal["device", "mapped", "host"]
 
 
 class StampConfig(Config):
-    """How the stamps of a device become UTC."""
+    """Conversion of a device's stamps to UTC."""
 
     source: Literal["auto", "device", "mapped", "host"] = "auto"
     """``device``: they are UTC; ``mapped``: they count from any time, and are mapped to arrival by the least

@@ -4,7 +4,7 @@ import logging
 
 from rpod_estimator.stamped_input import StampedInput
 from rpod_pose.surroundings.bodies import FrameTrack, KnownBodies
-from rpod_pose.surroundings.body_check import BodyBook, Verdict
+from rpod_pose.surroundings.body_check import BodyBook, BodyState
 from rpod_runtime import Node, Received
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -57,19 +57,19 @@ class BodyReport:
 
     def __init__(self, node: Node, bodies: KnownBodies | None) -> None:
         self._node, self._book = node, bodies.book if bodies else BodyBook()
-        self._told: dict[str, Verdict] = {}
+        self._told: dict[str, BodyState] = {}
 
     def update(self) -> None:
         """Write counters and texts into the diagnostics, and a line into the log when a state changes."""
         health = self._node.health
-        for (body, sensor, verdict), frames in self._book.counts.items():
-            health.put(f"bodies/{body}/{sensor}/{verdict}", frames)
+        for (body, sensor, state), frames in self._book.counts.items():
+            health.put(f"bodies/{body}/{sensor}/{state}", frames)
         for body, sensor, state, text in self._book.states:
             name = f"body/{body}/{sensor}"
-            health.alarm(name, text if state is Verdict.ELSEWHERE else "")
-            health.tell(name, text if state is Verdict.UNSEEN else "")
-            if state is not self._told.get(name, Verdict.IN_PLACE):
-                level = logging.INFO if state is Verdict.IN_PLACE else logging.WARNING
+            health.alarm(name, text if state is BodyState.ELSEWHERE else "")
+            health.tell(name, text if state is BodyState.UNSEEN else "")
+            if state is not self._told.get(name, BodyState.IN_PLACE):
+                level = logging.INFO if state is BodyState.IN_PLACE else logging.WARNING
                 log.log(level, "%s", text or f"{sensor} sees the known body {body} in its place again")
             self._told[name] = state
 

@@ -49,8 +49,8 @@ class Arrived:
     """Kind of the reason, a ``Reason``; empty if there is a measurement."""
     repeats: int = 0
     """Number of frames in a row, up to this one, whose content is that of the frame before."""
-    doubt: str = ""
-    """What is wrong with the sensor although the frame can be used."""
+    defect: str = ""
+    """Defect of the data although the frame can be used, with its remedy; empty if there is none."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """Evidence in the status that a live run gave to this frame, in a replay of that run."""
 
@@ -196,8 +196,8 @@ class FrameReader:
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
-            doubt = _doubt(measurement.data)
-            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats, doubt=doubt)
+            defect = _defect(measurement.data)
+            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats, defect=defect)
         told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
         reason = f"{Reason.FROZEN}: {told}"
         return Arrived(sensor, frame.stamp_ns, arrival_s, None, reason, Reason.FROZEN, repeats)
@@ -224,7 +224,7 @@ def _shows_something(data: SensorFrame) -> bool:
     return len(data.returns_m) > 0
 
 
-def _doubt(data: SensorFrame) -> str:
+def _defect(data: SensorFrame) -> str:
     """Return which image beside the leading one is the same everywhere, so that it is no measurement.
 
     An image of zeros may be one: a target too faint for its encoding.

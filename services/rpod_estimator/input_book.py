@@ -64,7 +64,7 @@ class SensorBook:
         """Last loss of each kind, in words."""
         self.repeats = 0
         """Number of its newest frames that are identical to the one before them."""
-        self.doubt = ""
+        self.defect = ""
         """What is wrong with its newest frame although it can be used."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
@@ -133,8 +133,8 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if self.doubt:
-            return InputState(Health.WARN, f"{self.name}: {self.doubt}")
+        if self.defect:
+            return InputState(Health.WARN, f"{self.name}: {self.defect}")
         if self.repeats < LEAST_FRAMES:
             return OK
         text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"

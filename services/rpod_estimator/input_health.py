@@ -52,7 +52,7 @@ class InputHealth:
         if status.reason == RESTING:
             self._health.count(f"dropped/{arrived.sensor}")
             return
-        book.repeats, book.doubt = arrived.repeats, arrived.doubt
+        book.repeats, book.defect = arrived.repeats, arrived.defect
         if status.accepted:
             book.use(now_s)
         else:

@@ -1,4 +1,4 @@
-"""What a frame measures, in words, for the reason why no pose was found in it.
+"""Description of what a frame measures, for the reason why no pose was found in it.
 
 A first sensor often has another unit of length than the estimator is told, or looks past the target. No
 method can tell: it finds too few pixels of the target, or none of its size. The distances themselves show it.

@@ -52,7 +52,7 @@ class Endings:
 
 
 class _Gone(NamedTuple):
-    """When a publisher's liveliness token vanished."""
+    """Time at which a publisher's liveliness token vanished."""
 
     awake_s: float
     """Time in which this process was awake until then, s."""
@@ -79,13 +79,13 @@ class _Session:
     topics: set[str] = field(default_factory=set)
     """Topics that it has, or had, a publisher of, and that are recorded."""
     left: dict[str, _Gone] = field(default_factory=dict)
-    """When the publisher of a topic was gone."""
+    """Time at which the publisher of a topic was gone."""
     told: dict[str, int] = field(default_factory=dict)
     """Number of messages by topic that an earlier file says are missing."""
 
     @property
     def gone(self) -> _Gone | None:
-        """When the service was gone; None if it is there."""
+        """Time at which the service was gone; None if it is there."""
         return self.left.get(DIAGNOSTICS.name) if self.instance else None
 
     @property

@@ -41,7 +41,7 @@ class PixelMarks:
     """Pixels of a frame, or rays of a scan, that are inconsistent with a pose; pixels on a coarser grid."""
 
     marked: NDArray[np.bool_]
-    """Which pixels, shape (rows, columns)."""
+    """Whether each pixel is inconsistent, shape (rows, columns)."""
     stride: int
     """Distance of two of the coarse pixels in pixels of the frame."""
 
@@ -64,7 +64,7 @@ class Belief:
     rivals: tuple[Rival, ...] = ()
     """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
     marks: PixelMarks | None = None
-    """Which pixels of the frame are inconsistent with the pose; None if it is not known."""
+    """Pixels of the frame that are inconsistent with the pose; None if it is not known."""
     needed_weight: float = 1.0
     """Weight of the best pose among its rivals, with its exact symmetries, from which on it is accepted."""
     insufficient: str = ""

@@ -97,7 +97,7 @@ class PartSolution:
     """The position by a part of a frame's data, which may be wrong independently of the rest."""
 
     name: str
-    """What it is measured by."""
+    """Part of the data by which it is measured."""
     offset_m: FloatArray
     """Vector from the registration's position to it, sensor axes, shape (3,), m."""
     sigma_m: float

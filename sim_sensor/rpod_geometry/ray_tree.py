@@ -55,7 +55,7 @@ class Ray(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """What a ray meets first."""
+    """First intersection of a ray."""
 
     range_m: float
     """Distance along the ray; inf if it meets nothing."""

@@ -37,12 +37,12 @@ class Draft:
     file: Path
     target: Target
     told: tuple[str, ...]
-    """What was assumed, chosen or repaired, one sentence each."""
+    """Assumptions, choices and repairs, one sentence each."""
 
 
 @dataclass(frozen=True)
 class DraftOptions:
-    """What the CAD file does not say."""
+    """Questions that the CAD file leaves open."""
 
     units: str | None = None
     """Unit of the file's coordinates, one of ``METRES``."""

@@ -1,4 +1,4 @@
-"""Which attitudes of a target no measurement tells apart, and errors modulo these.
+"""Attitudes of a target that no measurement tells apart, and errors modulo these.
 
 An exact symmetry makes turned attitudes equivalent. Where every turn about an axis is a symmetry, the angle
 about this axis is free: it is a convention, nothing is known of it, and no angle about it is an error. Two

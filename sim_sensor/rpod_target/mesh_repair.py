@@ -55,7 +55,7 @@ class RepairedMesh:
     cavity: NDArray[np.bool_]
     """Whether a surface is closed, faces inwards and lies inside of another one, of each surface."""
     told: tuple[str, ...]
-    """What was repaired, one sentence a step."""
+    """Repairs, one sentence a step."""
 
     @property
     def loose(self) -> NDArray[np.bool_]:

@@ -60,12 +60,12 @@ class Piece:
     patch: Indices
     """Number of the patch of each triangle, shape (T,): within one, all triangles face alike."""
     told: tuple[str, ...] = ()
-    """What was repaired."""
+    """Description of the repair."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Which sides of a piece's triangles are surfaces of the target."""
+    """Sides of a piece's triangles that are surfaces of the target."""
 
     front: NDArray[np.bool_]
     """Whether the front may be seen, shape (T,)."""

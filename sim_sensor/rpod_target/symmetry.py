@@ -48,11 +48,11 @@ _SAME_AXIS, _SAME_NEAR_AXIS = np.cos(np.deg2rad((2.0, 15.0)))
 
 @dataclass(frozen=True)
 class Likeness:
-    """How well one sensor distinguishes the two poses of a near symmetry, at one apparent size."""
+    """Power of one sensor to distinguish the two poses of a near symmetry, at one apparent size."""
 
     sensor: str
     condition: str
-    """What decides the range: "30 returns", "20% filled"."""
+    """Condition that decides the range: "30 returns", "20% filled"."""
     range_m: float
     """Median range."""
     views: int
@@ -86,7 +86,7 @@ class FoundSymmetry:
     continuous: bool = False
     """Whether the same holds for every turn about the axis: a body of revolution."""
     likeness: tuple[Likeness, ...] = ()
-    """What sensors make of the two poses; empty where none was asked."""
+    """Results of sensors for the two poses; empty where none was asked."""
     mistaken: bool = False
     """Whether some sensor, at some range, cannot tell the two poses apart in half of the views."""
 

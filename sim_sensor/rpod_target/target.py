@@ -129,7 +129,7 @@ class Target:
     field: DistanceField | None
     """Distance field; None in a target put together without one."""
     repairs: tuple[str, ...]
-    """What was repaired or approximated in the mesh files, one sentence each."""
+    """Repairs and approximations of the mesh files, one sentence each."""
     centre_of_mass_m: FloatArray
     """Centre of mass, shape (3,)."""
     inertia_kg_m2: FloatArray
@@ -175,7 +175,7 @@ class Target:
 
     @cached_property
     def equivalence(self) -> Equivalence:
-        """Which attitudes no measurement tells apart."""
+        """Attitudes that no measurement tells apart."""
         return Equivalence.of(self.symmetries)
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:

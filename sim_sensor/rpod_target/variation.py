@@ -46,7 +46,7 @@ def _in(unit: str) -> Any:
 
 
 class Variation(Config):
-    """What differs in a model of a target. Each field is a term, such as ``@bent=5deg``."""
+    """Differences of a model from a target. Each field is a term, such as ``@bent=5deg``."""
 
     bent: Annotated[float, Field(ge=-0.8, le=0.8)] = 0.0
     """Angle, ``deg``, by which the longest thin end, such as a solar array, is bent at its root."""

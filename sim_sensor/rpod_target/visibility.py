@@ -1,4 +1,4 @@
-"""What can be seen from far away: which sides of a surface, and which places.
+"""Visibility from far away: which sides of a surface, and which places.
 
 An open surface has no inside by itself. What no direction sees is taken as its inside, so that neither holes,
 nor the order of corners, nor surfaces that stand twice decide it.

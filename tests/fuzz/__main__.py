@@ -27,7 +27,7 @@ _BUS_SHARE, _LEAST_FOR_BUS_MIN = 0.2, 5.0
 
 
 @dataclass
-class Tally:
+class Outcomes:
     """What came of the inputs of one subject."""
 
     inputs: int = 0
@@ -40,20 +40,20 @@ def main(minutes: float, seed: int) -> int:
     """Fuzz for so long; return how many kinds of failures there are."""
     warnings.simplefilter("ignore")
     on_bus = _BUS_SHARE if minutes > _LEAST_FOR_BUS_MIN else 0.0
-    tallies = {name: Tally() for name in subjects()}
+    by_name = {name: Outcomes() for name in subjects()}
     until_s, memory_mib = time.monotonic() + 60.0 * minutes * (1.0 - on_bus), _memory_mib()
     round_number = 0
     while time.monotonic() < until_s:
         for name, subject in subjects().items():
-            _fuzz(subject, tallies[name], Random(f"{seed}/{name}/{round_number}"), until_s)
+            _fuzz(subject, by_name[name], Random(f"{seed}/{name}/{round_number}"), until_s)
         round_number += 1
         if round_number == 1:
             memory_mib = _memory_mib()
-    for name, tally in tallies.items():
-        counts = f"{tally.inputs:9} inputs, {tally.accepted:9} accepted, {tally.cpu_s:7.1f} s"
-        print(f"{name:45} {counts}, {len(tally.failures)} kinds of failures")
-    failures = sum((tally.failures for tally in tallies.values()), Counter[str]())
-    inputs = sum(tally.inputs for tally in tallies.values())
+    for name, outcomes in by_name.items():
+        counts = f"{outcomes.inputs:9} inputs, {outcomes.accepted:9} accepted, {outcomes.cpu_s:7.1f} s"
+        print(f"{name:45} {counts}, {len(outcomes.failures)} kinds of failures")
+    failures = sum((outcomes.failures for outcomes in by_name.values()), Counter[str]())
+    inputs = sum(outcomes.inputs for outcomes in by_name.values())
     memory = f"{memory_mib:.0f} MiB after the first round, {_memory_mib():.0f} at the end"
     print(f"{inputs} inputs with seed {seed}; most memory {memory}", flush=True)
     if on_bus:
@@ -63,29 +63,29 @@ def main(minutes: float, seed: int) -> int:
     return min(len(failures), 1)
 
 
-def _fuzz(subject: Subject, tally: Tally, rnd: Random, until_s: float) -> None:
+def _fuzz(subject: Subject, outcomes: Outcomes, rnd: Random, until_s: float) -> None:
     begin_s = time.process_time()
     while (now_s := time.process_time()) - begin_s < _SLICE_S and time.monotonic() < until_s:
-        take(subject, tally, rnd)
-    tally.cpu_s += now_s - begin_s
+        take(subject, outcomes, rnd)
+    outcomes.cpu_s += now_s - begin_s
 
 
-def take(subject: Subject, tally: Tally, rnd: Random) -> None:
+def take(subject: Subject, outcomes: Outcomes, rnd: Random) -> None:
     """Make one input, have it read, and note what came of it."""
     data = subject.make(rnd)
     read_s = time.process_time()
     try:
-        tally.accepted += subject.read(data)
+        outcomes.accepted += subject.read(data)
         failure = (
             f"{subject.name}: took more than {SLOW_S:g} s" if time.process_time() - read_s > SLOW_S else ""
         )
     except Exception as error:  # noqa: BLE001 - every kind is a finding
         failure = f"{subject.name}: {_kind(error)}"
-    tally.inputs += 1
+    outcomes.inputs += 1
     if failure:
-        if failure not in tally.failures:
+        if failure not in outcomes.failures:
             Case(subject.name, data).write()
-        tally.failures[failure] += 1
+        outcomes.failures[failure] += 1
 
 
 def _kind(error: Exception) -> str:

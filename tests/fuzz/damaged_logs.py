@@ -10,7 +10,7 @@ import time
 import warnings
 from random import Random
 
-from fuzz.__main__ import Tally, take
+from fuzz.__main__ import Outcomes, take
 from fuzz.subjects import subjects
 
 _STEP = 500
@@ -20,18 +20,18 @@ def main(count: int, seed: int) -> int:
     """Read so many damaged logs; return whether one failed."""
     warnings.simplefilter("ignore")
     kinds = [subject for name, subject in subjects().items() if name.startswith("report of a log")]
-    tallies = {subject.name: Tally() for subject in kinds}
+    by_name = {subject.name: Outcomes() for subject in kinds}
     begin_s = time.process_time()
     for number in range(count):
         subject = kinds[number % len(kinds)]
-        take(subject, tallies[subject.name], Random(f"{seed}/{subject.name}/{number}"))
+        take(subject, by_name[subject.name], Random(f"{seed}/{subject.name}/{number}"))
         if (number + 1) % _STEP == 0 or number + 1 == count:
-            failed = sum(sum(tally.failures.values()) for tally in tallies.values())
+            failed = sum(sum(outcomes.failures.values()) for outcomes in by_name.values())
             spent_s = time.process_time() - begin_s
             print(f"{number + 1:6} logs, {failed} failed, {spent_s:.0f} s of processor time", flush=True)
-    for name, tally in tallies.items():
-        print(f"{name:40} {tally.inputs:6} logs, {tally.accepted:6} reports, {dict(tally.failures)}")
-    return int(any(tally.failures for tally in tallies.values()))
+    for name, outcomes in by_name.items():
+        print(f"{name:40} {outcomes.inputs:6} logs, {outcomes.accepted:6} reports, {dict(outcomes.failures)}")
+    return int(any(outcomes.failures for outcomes in by_name.values()))
 
 
 if __name__ == "__main__":

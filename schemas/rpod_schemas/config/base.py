@@ -24,7 +24,7 @@ _PATTERNS = {
     _NAME: "needs a letter, then letters, digits, '_' or '-'",
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
 }
-"""What a text needs, by its pattern."""
+"""Requirement on a text in words, by its pattern."""
 
 
 class Config(BaseModel):

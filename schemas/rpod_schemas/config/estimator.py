@@ -207,7 +207,7 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     """Longest time without a new measurement in which an estimate is valid, s; one and a half periods of a
     slower sensor. Set it to what your robot tolerates; ``estimate/validity`` tells when it has passed."""
     changed_setup: Literal["refuse", "accept"] = "refuse"
-    """What to do with a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
+    """Treatment of a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
     not use its frames until a reset; set ``accept`` if a driver may correct them in service, and nobody else
     can publish."""
     max_future_s: NonNegative = 0.05

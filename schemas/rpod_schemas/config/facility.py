@@ -40,16 +40,16 @@ class FacilityService(Config):
     """One service that is kept alive."""
 
     verb: Verb
-    """What it is: ``rpod <verb>``."""
+    """Verb of the command line that starts it: ``rpod <verb>``."""
     driver: Name | None = None
     """Name of the driver, for ``verb: driver``; ``rpod driver list`` shows them."""
     config: Path | dict[str, Any] = Field(default_factory=dict)
     """Its configuration: a file, relative to this one, or the fields themselves. ``bus`` below fills in what
     it leaves out of its own ``bus``."""
     restart: Restart | None = None
-    """When it is started again: always, on_failure (not after exit code 0), or never. By default on_failure
-    for motion, driver and view, whose source may end, and always for the others. After exit code 2, a wrong
-    configuration, it is never started again."""
+    """Policy by which it is started again: always, on_failure (not after exit code 0), or never. The default
+    is on_failure for motion, driver and view, whose source may end, and always for the others. After exit
+    code 2, a wrong configuration, it is never started again."""
     start_timeout_s: Positive = 300.0
     """Longest time until it is at work, s; the first start on a machine compiles kernels. A driver may wait
     for its device without limit."""
@@ -77,7 +77,7 @@ class FacilityService(Config):
 
     @property
     def restarts(self) -> Restart:
-        """When it is started again."""
+        """Policy by which it is started again."""
         return self.restart or ("on_failure" if self.verb in _FINITE else "always")
 
 

@@ -69,7 +69,7 @@ class ScanModelConfig(Tuning):
 
 
 class PessimisticConfig(Tuning):
-    """What replaces the fields of the same names in a scan's model, for a worse sensor or target."""
+    """Values that replace the fields of the same names in a scan's model, for a worse sensor or target."""
 
     noise_scale: Annotated[
         Positive, Provenance("hand, mock-up", "twice the error that the sensor states; the factor is chosen")

@@ -63,7 +63,7 @@ class SensorSurroundings(Config):
     mask: Path | None = None
     """Image of the frame's size (PNG): black pixels are not used; relative to this file."""
     background: Path | None = None
-    """What the sensor sees without the target, written by ``rpod calibrate background``; relative to this
+    """View of the sensor without the target, written by ``rpod calibrate background``; relative to this
     file."""
 
 

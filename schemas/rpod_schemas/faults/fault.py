@@ -14,7 +14,7 @@ BOTH = ("pmd", "lidar")
 
 @dataclass(frozen=True)
 class Size:
-    """How large a fault can be."""
+    """Range of the sizes of a fault."""
 
     unit: str
     default: float | None
@@ -35,15 +35,15 @@ class Fault:
     name: str
     """Name in queries, scenarios and verdicts."""
     cause: str
-    """What is wrong, and where it usually comes from."""
+    """Description of the fault, and its usual cause."""
     line: str
     """Line of ``rpod driver check`` that reports it; empty if none does."""
     remedy: str
-    """What to do."""
+    """Remedy."""
     kinds: tuple[str, ...] = BOTH
     """Kinds of sensors that can have it."""
     needs: Evidence | None = None
-    """What the check needs to see it; None if the messages alone tell."""
+    """Input that the check needs to see it; None if the messages alone tell."""
     in_lockstep: bool = False
     """Whether it can be injected in lockstep: each frame still comes, once, under its own stamp."""
     from_start: bool = False

@@ -166,12 +166,12 @@ class Account:
                 continue
             for name, frames in counters.items():
                 body, _, rest = name.removeprefix(_BODIES).partition("/")
-                sensor, _, verdict = rest.partition("/")
-                if not name.startswith(_BODIES) or verdict not in BodyAccount.model_fields:
+                sensor, _, state = rest.partition("/")
+                if not name.startswith(_BODIES) or state not in BodyAccount.model_fields:
                     continue
                 last = self.losses.get((service, _BODY[:-1], f"{body}/{sensor}"), "")
                 before = found.setdefault(body, {}).get(sensor, BodyAccount(last=last))
-                found[body][sensor] = before.model_copy(update={verdict: frames})
+                found[body][sensor] = before.model_copy(update={state: frames})
         return found
 
     def passed_over(self, status_topic: str, sensor: str) -> tuple[int, int]:

@@ -60,7 +60,7 @@ def files_of(path: Path) -> list[Path]:
     return files
 
 
-class _Guarded:
+class _CheckedFile:
     """A file whose chunks are compared with their index, and are decompressed within their announced size.
 
     The reader does neither. It is given each chunk as one without compression.
@@ -71,7 +71,7 @@ class _Guarded:
         self._path, self._stream = path, stream
         self._chunks: dict[int, ChunkIndex] = {}
 
-    def guard(self, chunks: list[ChunkIndex]) -> None:
+    def expect(self, chunks: list[ChunkIndex]) -> None:
         """Store the chunks by the offset to which the reader seeks: after opcode and length."""
         self._chunks = {index.chunk_start_offset + _FRAME_BYTES: index for index in chunks}
 
@@ -158,16 +158,16 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
         _check_ends(path, stream)
     except OSError as error:
         raise NoLogError(path, (error.strerror or str(error)).lower()) from error
-    guarded = _Guarded(path, stream)
+    checked = _CheckedFile(path, stream)
     with reading(path):
-        reader = make_reader(cast("IO[bytes]", guarded), validate_crcs=True)
+        reader = make_reader(cast("IO[bytes]", checked), validate_crcs=True)
         summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise TruncatedLogError(path)
     if not summary_is_whole(stream):
         raise DamagedLogError(path, "the checksum of its summary is wrong")
     limits.check(path, stream.seek(0, 2), summary)
-    guarded.guard(summary.chunk_indexes)
+    checked.expect(summary.chunk_indexes)
     for schema in summary.schemas.values():
         if schema.encoding == SCHEMA_ENCODING:
             learn(ros_type(schema), schema.data)

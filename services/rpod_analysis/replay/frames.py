@@ -39,7 +39,7 @@ class Frames:
     refused. Messages of other topics are ignored.
     """
 
-    intake: FrameReader
+    reader: FrameReader
     stamps: StampCheck | None = None
     """Check that finds stamps that cannot belong to the log; None for no check."""
     holders: LoggedHolders | None = None
@@ -50,7 +50,7 @@ class Frames:
     """Number of frames that the live run used and that are not in the log."""
 
     def __post_init__(self) -> None:
-        self._latched = {topic.name for topic in self.intake.latched}
+        self._latched = {topic.name for topic in self.reader.latched}
 
     def take(self, logged: Logged) -> list[Event]:
         """Process a message; return the frames that it completes, oldest first."""
@@ -70,48 +70,48 @@ class Frames:
         """Return a frame, whose publishers hold their topics from now on if it is valid."""
         arrived = self._arrived(sensor, frame)
         if self.holders is not None and arrived.measurement is not None:
-            self.holders.hold(frame, self.intake.leading[sensor])
+            self.holders.hold(frame, self.reader.leading[sensor])
         return arrived
 
     def _let_leave(self, logged: Logged) -> None:
         """Let publishers leave whose last message this was."""
         session = self.holders.ended(as_received(logged)) if self.holders else ""
-        for topic in self.intake.latched if session else ():
-            self.intake.leave(session, topic)
+        for topic in self.reader.latched if session else ():
+            self.reader.leave(session, topic)
 
     def reset(self, keep_gid: str | None) -> None:
         """Accept publishers and sensors as they are now, as a live estimator does at a reset."""
         keep = self.holders.release(keep_gid) if self.holders else ""
-        self.intake.forget(keep=keep)
+        self.reader.forget(keep=keep)
 
     def rest(self) -> list[Event]:
         """Return the frames that still wait for an optional part at the end of the log."""
         return [
             self._arrived(sensor, frame)
-            for sensor, assembler in self.intake.assemblers.items()
+            for sensor, assembler in self.reader.assemblers.items()
             for frame in assembler.release()
         ]
 
     def _complete(self, logged: Logged) -> Iterator[tuple[str, Assembled[Received]]]:
         received = as_received(logged)
         try:
-            if part := self.intake.parts.get(logged.topic):
+            if part := self.reader.parts.get(logged.topic):
                 sensor, name = part
-                stamp_ns = self.intake.stamp_ns(sensor, received)
+                stamp_ns = self.reader.stamp_ns(sensor, received)
                 if self.stamps is not None:
                     self.stamps.check(logged, stamp_ns)
                 if self.holders is not None and not self.holders.admit(received):
                     return
-                for frame in self.intake.assemblers[sensor].add(name, stamp_ns, received):
+                for frame in self.reader.assemblers[sensor].add(name, stamp_ns, received):
                     yield sensor, frame
             elif logged.topic in self._latched:
-                self.intake.learn(received)
+                self.reader.learn(received)
         except MessageRejectedError:
             self.refused[logged.topic] += 1
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         try:
-            return self.intake.arrived(sensor, frame, 0.0)
+            return self.reader.arrived(sensor, frame, 0.0)
         except PartRejectedError as error:
             self.refused[error.topic] += 1
             return Arrived(sensor, frame.stamp_ns, 0.0, None, str(error))
@@ -137,7 +137,7 @@ class FramesAsLive(Frames):
 
     def rest(self) -> list[Event]:
         """Return the inputs that the last statuses name."""
-        for sensor, assembler in self.intake.assemblers.items():
+        for sensor, assembler in self.reader.assemblers.items():
             self._waiting |= {(sensor, frame.stamp_ns): frame for frame in assembler.release()}
         return list(self._events(None))
 

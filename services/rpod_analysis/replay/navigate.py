@@ -121,14 +121,14 @@ def replay(
     target = load_target(config.target)
     recorded = RecordedSearches() if as_live else None
     estimator = Estimator(config, target, recorded.of if recorded else None)
-    intake = FrameReader(config.sensors)
+    reader = FrameReader(config.sensors)
     old = estimate_prefix(log)
     status_topic = STATUS.under(old).name
-    stamps, holders = StampCheck(log), LoggedHolders(log, intake.parts)
+    stamps, holders = StampCheck(log), LoggedHolders(log, reader.parts)
     frames = (
-        FramesAsLive(intake, stamps, holders, status_topic=status_topic)
+        FramesAsLive(reader, stamps, holders, status_topic=status_topic)
         if as_live
-        else Frames(intake, stamps, holders)
+        else Frames(reader, stamps, holders)
     )
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
     span_ns = _span_ns(log, start_s=start_s, end_s=end_s)
@@ -136,7 +136,7 @@ def replay(
     feed = _Feed(estimator, frames, inputs, recorded, resets=told.since(span_ns[0]))
     try:
         with EstimateLog(new, log, config, target) as written:
-            for logged in _relevant(log, intake, old, span_ns):
+            for logged in _relevant(log, reader, old, span_ns):
                 if logged.topic in _copied(log, old):
                     written.copy(logged)
                 written.add(feed.judged(frames.take(logged)), arrival_ns=logged.log_ns)
@@ -164,12 +164,12 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
         TargetError: the configured target cannot be loaded.
         AnalysisError: the log cannot be read.
     """
-    intake = FrameReader(config.sensors)
+    reader = FrameReader(config.sensors)
     estimator = Estimator(config, load_target(config.target))
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
-    frames = Frames(intake, StampCheck(log), LoggedHolders(log, intake.parts))
+    frames = Frames(reader, StampCheck(log), LoggedHolders(log, reader.parts))
     feed = _Feed(estimator, frames, inputs)
-    for logged in log.messages(*(topic.name for topic in (*intake.latched, *intake.streams))):
+    for logged in log.messages(*(topic.name for topic in (*reader.latched, *reader.streams))):
         for output, _ in feed.outputs(frames.take(logged)):
             yield output
     for output, _ in feed.outputs(frames.rest()):
@@ -198,11 +198,11 @@ def _span_ns(log: Log, *, start_s: float, end_s: float | None) -> tuple[int | No
 
 
 def _relevant(
-    log: Log, intake: FrameReader, prefix: str, span_ns: tuple[int | None, int | None]
+    log: Log, reader: FrameReader, prefix: str, span_ns: tuple[int | None, int | None]
 ) -> Iterator[Logged]:
     start_ns, end_ns = span_ns
-    latched = [topic.name for topic in intake.latched]
-    streams = [topic.name for topic in intake.streams]
+    latched = [topic.name for topic in reader.latched]
+    streams = [topic.name for topic in reader.streams]
     before = log.messages(*latched, end_ns=start_ns) if start_ns is not None else ()
     wanted = {*latched, *streams, *_copied(log, prefix)}
     return chain(before, log.messages(*wanted, start_ns=start_ns, end_ns=end_ns))
@@ -232,7 +232,7 @@ class _Feed:
         self.resets = 0
         """Number of resets that were repeated."""
         self._inputs, self._waiting = inputs, deque(resets)
-        self._frames, self._intake = frames, frames.intake
+        self._frames, self._reader = frames, frames.reader
         self._estimator, self._recorded = estimator, recorded
 
     def judged(self, events: Iterable[Event]) -> Iterator[tuple[Output, Integrity]]:
@@ -243,7 +243,7 @@ class _Feed:
     def outputs(self, events: Iterable[Event]) -> Iterator[tuple[Output, bool]]:
         """Yield the estimator's outputs, and whether their frames were refused as a frozen stream's."""
         for event in events:
-            self._estimator.learn(self._intake.infos)
+            self._estimator.learn(self._reader.infos)
             for heard in self._inputs:
                 heard.hear_up_to(event.stamp_ns)
             self._reset_before(event.stamp_ns)
@@ -259,7 +259,7 @@ class _Feed:
             started_s = time.perf_counter()
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)
-            self._intake.pinned = self._estimator.pins_setups
+            self._reader.pinned = self._estimator.pins_setups
             yield output, event.refused == Reason.FROZEN
 
     def _reset_before(self, stamp_ns: int) -> None:

@@ -36,7 +36,7 @@ Result = Literal["right", "ambiguous", "refused", "wrong", "unseen"]
 
 
 @dataclass(frozen=True)
-class Tally:
+class Answers:
     """Answers of a method to some frames."""
 
     condition: str
@@ -77,8 +77,8 @@ class MethodFacts:
     Frames in which nothing is seen do not count. None if the method was not tried."""
     reason: str
     """Why the method cannot be made, or else the first reason for which it refused a frame."""
-    total: Tally
-    by_condition: tuple[Tally, ...]
+    total: Answers
+    by_condition: tuple[Answers, ...]
     median_ms: float | None
     """Median processing time of a frame, ms; None without a frame."""
 
@@ -235,7 +235,7 @@ def _is_right(attitude_deg: float, position_m: float, target: Target) -> bool:
 
 def _facts(one: _Tried, names: Sequence[str]) -> MethodFacts:
     refusals = [trial.reason for trial in one.trials if trial.result == "refused" and trial.reason]
-    total = _tally("all", one.trials)
+    total = _answers("all", one.trials)
     times_s = [trial.took_s for trial in one.trials if trial.took_s > 0.0]
     return MethodFacts(
         one.method.sensor,
@@ -245,22 +245,22 @@ def _facts(one: _Tried, names: Sequence[str]) -> MethodFacts:
         _works(one, total),
         one.reason or (refusals[0] if refusals else ""),
         total,
-        tuple(_tally(name, [trial for trial in one.trials if trial.condition == name]) for name in names),
+        tuple(_answers(name, [trial for trial in one.trials if trial.condition == name]) for name in names),
         1e3 * float(np.median(times_s)) if times_s else None,
     )
 
 
-def _works(one: _Tried, total: Tally) -> bool | None:
+def _works(one: _Tried, total: Answers) -> bool | None:
     if total.frames == total.unseen:
         return None if one.made is not None else False
     return total.frames - total.unseen <= 2 * (total.right + total.ambiguous)
 
 
-def _tally(name: str, trials: Sequence[_Trial]) -> Tally:
+def _answers(name: str, trials: Sequence[_Trial]) -> Answers:
     def count(result: Result) -> int:
         return sum(trial.result == result for trial in trials)
 
-    return Tally(
+    return Answers(
         name,
         _median([trial.range_m for trial in trials]),
         len(trials),

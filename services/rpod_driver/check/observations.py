@@ -81,7 +81,7 @@ class Options:
     rate_hz: float | None = None
     """Nominal rate."""
     source: SourceConfig = ICD
-    """How its driver publishes."""
+    """Topics, stamps and units of its driver."""
     surface: Surface | None = None
     """Surface of the target, for comparisons with truth and with a second sensor."""
     against: str | None = None

@@ -15,7 +15,7 @@ class ForeignEnvironment(Config):
     start_s: Positive = 30.0
     """Longest time from the start of the process until its device is open, s."""
     stamps: StampConfig = StampConfig()
-    """How the stamps of the device become UTC."""
+    """Conversion of the device's stamps to UTC."""
 
 
 class ProcessDevice(ForeignEnvironment):

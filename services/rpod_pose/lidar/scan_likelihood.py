@@ -133,7 +133,7 @@ def scan_statistics(
 def scan_agreement(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanAgreement:
-    """Return the part of ``scan_statistics`` that needs no expectation, which is faster."""
+    """Return the part of ``scan_statistics`` that needs no expectation; arguments and shapes as there."""
     cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
     sums = _ray_sums(range_m, R, rays, assumed, False)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)

@@ -349,7 +349,7 @@ def settled(
 def _refined(
     problem: FaceProblem, start: PoseArrays, likelihood: float, range_m: FloatArray, assumed: Assumptions
 ) -> ScanRegistration:
-    """Return ``refined`` from a start whose log likelihood is known."""
+    """Return ``refined`` from a start whose log likelihood is known; other arguments as for ``refined``."""
     found = aligned(problem, start, range_m, assumed)
     if likelihood <= found.statistics.agreement.log_likelihood:
         return found

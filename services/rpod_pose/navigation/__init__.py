@@ -1,1 +1,1 @@
-"""From accepted poses to a navigated state: navigator, filter, history of measurements, de-skewing."""
+"""The way from accepted poses to a state: navigator, filter, history of measurements, de-skewing."""

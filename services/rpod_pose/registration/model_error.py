@@ -87,7 +87,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class ModelError:
-    """How far a target's model may be off."""
+    """Size of the errors that a target's model may have."""
 
     tolerance_m: float
     """Standard deviation of each coordinate of a cell's displacement."""

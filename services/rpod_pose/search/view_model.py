@@ -48,7 +48,7 @@ class Points(NamedTuple):
     columns: Float32Array
     """Position, normal, normal times position, area share and albedo in rows, shape (9, K)."""
     seen_from: NDArray[np.bool_]
-    """Which points are visible from each direction, shape (VIEWS, K)."""
+    """Whether each point is visible from each direction, shape (VIEWS, K)."""
     cube: NDArray[np.int32]
     """Indices of directions, for ``view_of``, shape (6, CUBE, CUBE)."""
 

@@ -47,8 +47,8 @@ FRAMES = 3
 """Number of judged frames in a row after which a body's state changes."""
 
 
-class Verdict(StrEnum):
-    """What a frame shows of a body."""
+class BodyState(StrEnum):
+    """State of a body, as one frame shows it."""
 
     IN_PLACE = "in_place"
     """It is seen where its pose says."""
@@ -92,10 +92,10 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What one frame shows of one body."""
+    """Evidence of one frame for one body and its pose."""
 
     body: str
-    verdict: Verdict
+    state: BodyState
     tolerance_m: float
     rays: int = 0
     """Number of rays that should meet the body and that nothing hides."""
@@ -124,19 +124,19 @@ def sighting(body: str, image: RangeImage, place: Place) -> Sighting:
     every, rays = int(np.count_nonzero(met)), in_place + beyond + missing
     passed = beyond > MOST_BEYOND * (in_place + beyond)
     if every < LEAST_RAYS:
-        return Sighting(body, Verdict.HIDDEN, place.tolerance_m, rays, in_place, beyond)
+        return Sighting(body, BodyState.HIDDEN, place.tolerance_m, rays, in_place, beyond)
     if in_place >= LEAST_SHARE * every and not passed:
-        return Sighting(body, Verdict.IN_PLACE, place.tolerance_m, rays, in_place, beyond)
+        return Sighting(body, BodyState.IN_PLACE, place.tolerance_m, rays, in_place, beyond)
     offset_m = _offset(image, place, met, in_place / every)
     if offset_m is not None:
-        verdict = Verdict.ELSEWHERE
+        state = BodyState.ELSEWHERE
     elif rays < LEAST_RAYS:
-        verdict = Verdict.HIDDEN
+        state = BodyState.HIDDEN
     elif passed:
-        verdict = Verdict.ELSEWHERE
+        state = BodyState.ELSEWHERE
     else:
-        verdict = Verdict.IN_PLACE if in_place >= LEAST_SHARE * rays else Verdict.UNSEEN
-    return Sighting(body, verdict, place.tolerance_m, rays, in_place, beyond, offset_m)
+        state = BodyState.IN_PLACE if in_place >= LEAST_SHARE * rays else BodyState.UNSEEN
+    return Sighting(body, state, place.tolerance_m, rays, in_place, beyond, offset_m)
 
 
 class _Rays(NamedTuple):
@@ -235,18 +235,18 @@ def _beside(met: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 @dataclass
 class _Record:
-    state: Verdict = Verdict.IN_PLACE
-    newest: Verdict = Verdict.HIDDEN
+    state: BodyState = BodyState.IN_PLACE
+    newest: BodyState = BodyState.HIDDEN
     in_a_row: int = 0
     text: str = ""
 
 
 @dataclass
 class BodyBook:
-    """What the frames of each sensor have shown of each body, and what an operator must know."""
+    """States of the bodies by the frames of each sensor, with the texts for an operator."""
 
-    counts: Counter[tuple[str, str, Verdict]] = field(default_factory=Counter)
-    """Number of frames by body, sensor and verdict."""
+    counts: Counter[tuple[str, str, BodyState]] = field(default_factory=Counter)
+    """Number of frames by body, sensor and state."""
     _records: dict[tuple[str, str], _Record] = field(default_factory=dict)
 
     def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
@@ -260,19 +260,19 @@ class BodyBook:
             seen: what the frame shows.
             R_chaser_sensor: the sensor's axes in the chaser's, shape (3, 3).
         """
-        self.counts[seen.body, sensor, seen.verdict] += 1
+        self.counts[seen.body, sensor, seen.state] += 1
         record = self._records.setdefault((seen.body, sensor), _Record())
-        if seen.verdict is not Verdict.HIDDEN:
-            record.in_a_row = record.in_a_row + 1 if seen.verdict is record.newest else 1
-            record.newest = seen.verdict
+        if seen.state is not BodyState.HIDDEN:
+            record.in_a_row = record.in_a_row + 1 if seen.state is record.newest else 1
+            record.newest = seen.state
             if record.in_a_row >= FRAMES:
-                record.state = seen.verdict
-            if record.state is seen.verdict:
+                record.state = seen.state
+            if record.state is seen.state:
                 record.text = told(sensor, seen, R_chaser_sensor)
-        return record.state is not Verdict.ELSEWHERE or seen.verdict is Verdict.IN_PLACE
+        return record.state is not BodyState.ELSEWHERE or seen.state is BodyState.IN_PLACE
 
     @property
-    def states(self) -> Iterator[tuple[str, str, Verdict, str]]:
+    def states(self) -> Iterator[tuple[str, str, BodyState, str]]:
         """Yield body, sensor, state and its text, which is empty for a body that is seen in its place."""
         for (body, sensor), record in self._records.items():
             yield body, sensor, record.state, record.text
@@ -280,9 +280,9 @@ class BodyBook:
 
 def told(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
     """Return what an operator must know of a body, with figures and remedy; empty if it is in its place."""
-    if seen.verdict in (Verdict.IN_PLACE, Verdict.HIDDEN):
+    if seen.state in (BodyState.IN_PLACE, BodyState.HIDDEN):
         return ""
-    if seen.verdict is Verdict.UNSEEN:
+    if seen.state is BodyState.UNSEEN:
         return (
             f"{sensor} does not see the known body {seen.body}: {seen.missing} of {seen.rays} rays on it "
             "have no range, so that its pose is not checked: it is too dark, or not there; compare it with "

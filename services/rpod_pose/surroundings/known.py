@@ -1,4 +1,4 @@
-"""What is known of a sensor's surroundings: a range gate, a mask, and a background without the target.
+"""Knowledge of a sensor's surroundings: a range gate, a mask, and a background without the target.
 
 The background is learned from frames without the target: for each pixel or ray the median range and its
 noise. What agrees with it is no target. It is stored as the arrays of an ``npz`` file.
@@ -35,7 +35,7 @@ MOST_FRAMES = 200
 
 
 class KnownSurroundingsError(PoseError):
-    """What is known of the surroundings cannot be used."""
+    """The given knowledge of the surroundings cannot be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def _size(image: NDArray[Any]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class KnownParts:
-    """What a sensor's frames may show of the target, as far as it is known beforehand."""
+    """Part of a sensor's frames that may show the target, as far as it is known beforehand."""
 
     frames: Frames[Any]
     gate_m: tuple[float, float]

@@ -1,4 +1,4 @@
-"""How much of the target's outline a frame shows: where the target is seen to end.
+"""Share of the target's outline that a frame shows: where the target is seen to end.
 
 Separation by a pose makes everything beside the rendered target dark. On a plane that goes on there, such as
 a wall or a plate, the outline of any pose then seems to be in its place. Only where the measured surface ends

@@ -1,4 +1,4 @@
-"""What of a frame may be the target's, and what belongs to other things: by ranges alone, for any sensor.
+"""Separation of a frame into the target's part and other things: by ranges alone, for any sensor.
 
 Without a pose, each surface of the target's size is a place to search (``places``). With a pose, the target
 is rendered. A ray that ends before the rendered surface meets something that hides the target, and tells
@@ -35,7 +35,7 @@ MOST_RAYS = 24
 
 
 class Label(IntEnum):
-    """What a ray shows."""
+    """Class of a ray by what it shows."""
 
     KEPT = 0
     """The target, or nothing: the ray stays as it is."""
@@ -113,7 +113,7 @@ def upsampled(image: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a pose of the target says of each ray."""
+    """Classes of all rays at a pose of the target."""
 
     labels: NDArray[np.uint8]
     """``Label`` of each ray, shape (rows, columns)."""
@@ -186,7 +186,7 @@ def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
 
 
 class Margin(NamedTuple):
-    """How far a pose may be off."""
+    """Limits of the errors of a pose."""
 
     place_m: float
     """Across the line of sight."""

@@ -1,4 +1,4 @@
-"""What an injection is, and how it is found by the fault's name."""
+"""The interface of an injection, and the look-up by the fault's name."""
 
 import copy
 from dataclasses import dataclass, replace

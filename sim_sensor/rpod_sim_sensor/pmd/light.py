@@ -201,7 +201,7 @@ def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> i
 
 @kernel
 def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
-    """Return whether all n x n rays of a pixel hit the same triangle, or none."""
+    """Return whether all n x n rays of a pixel hit one triangle, or none; owners of shape (rows, columns)."""
     for i in range(top, top + n):
         for j in range(left, left + n):
             if owners[i, j] != owners[top, left]:
@@ -284,7 +284,7 @@ def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
 
 @kernel
 def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, lights: Lights) -> None:
-    """Fill the modulation of a row's fragments in one sub-exposure."""
+    """Fill the electrons of a row's fragments in sub-exposure k; planes of shape (triangles, 1 + K, 3)."""
     index, inverse = fragments.triangle, fragments.inverse
     lamp_e, modulated_e = fragments.lamp_e, fragments.modulated_e
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]

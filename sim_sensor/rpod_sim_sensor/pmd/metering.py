@@ -54,7 +54,10 @@ def _meter(
     limits_e: tuple[float, float],
     changes: NDArray[np.int64],
 ) -> int:
-    """Store the half stops at which each pixel stops saturating and becomes too dark; return the lit ones."""
+    """Store the half stops at which each pixel stops saturating and becomes too dark; return the lit ones.
+
+    The light has the shape (K, H, W); changes, shape (half stops + 2,), counts the pixels that change there.
+    """
     count, height, width = modulated_e.shape
     least_e, most_e = limits_e
     lit = 0

@@ -1,4 +1,4 @@
-"""From light to counts: the charge of the two taps of a photonic mixer.
+"""Conversion of light to counts: the charge of the two taps of a photonic mixer.
 
 The taps share the charge in time with the modulation. The background suppression removes the same charge from
 both. Sunlight fills them equally, so that it does not change their difference but adds its noise. The charge

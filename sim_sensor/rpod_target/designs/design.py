@@ -25,7 +25,7 @@ class Design:
 
     name: str
     about: str
-    """What the target is, which becomes the comment at the head of its parameter file."""
+    """Description of the target, which becomes the comment at the head of its parameter file."""
     components: tuple[Component, ...]
     mass: dict[str, Any]
     """Mass properties as fields of the parameter file."""

@@ -1,1 +1,1 @@
-"""What the random satellites and the shipped designs are made of: components, shapes, and their files."""
+"""Building blocks of the random satellites and the shipped designs: components, shapes, and their files."""

@@ -9,7 +9,7 @@ _NAME = re.compile(r"random-(derive|report)-(\d{1,9})-(\d{1,9})(-small)?")
 
 
 class SatelliteName(NamedTuple):
-    """What the name of a satellite says."""
+    """Content of a satellite's name."""
 
     population: PopulationName
     seed: int

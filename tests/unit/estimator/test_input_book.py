@@ -136,5 +136,5 @@ def test_a_frame_without_a_part_says_which_one_and_how_far_off_it_is(step_ns, wo
 
 def test_a_doubt_about_used_frames_is_told():
     book, now_s = book_after([None] * 30)
-    book.doubt = "all pixels of its amplitude are 128; correct its driver"
+    book.defect = "all pixels of its amplitude are 128; correct its driver"
     assert book.state(now_s) == (Health.WARN, "pmd: all pixels of its amplitude are 128; correct its driver")

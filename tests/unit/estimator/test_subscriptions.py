@@ -188,7 +188,7 @@ def test_an_amplitude_that_is_the_same_everywhere_is_a_doubt_and_no_refusal():
     bench.send_frame(NOW_NS)
     (arrived,) = bench.arrived()
     assert arrived.measurement is not None
-    assert arrived.doubt.startswith("all pixels of its amplitude are")
+    assert arrived.defect.startswith("all pixels of its amplitude are")
 
 
 def test_scans_without_any_return_are_alike_and_not_frozen():

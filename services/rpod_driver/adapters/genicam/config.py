@@ -36,7 +36,7 @@ class GenicamDevice(Config):
     """Lens, inline or as the path of a file; else the camera's Scan3dFocalLength and
     Scan3dPrincipalPoint are used."""
     stamps: StampConfig = StampConfig()
-    """How the stamps of the camera become UTC."""
+    """Conversion of the camera's stamps to UTC."""
 
 
 class GenicamConfig(DriverConfig):

@@ -39,7 +39,7 @@ class IfmDevice(Config):
     """Lens of the head, from its calibration. Needed where the buffers have none that is known (firmware
     whose TOF_INFO is older than version 3); else the device's own is used."""
     stamps: StampConfig = StampConfig()
-    """How the stamps of the device become UTC."""
+    """Conversion of the device's stamps to UTC."""
 
     @model_validator(mode="after")
     def _there_is_one_source(self) -> Self:

@@ -25,7 +25,7 @@ class RealsenseDevice(Config):
     """Options of the depth sensor by their names in the SDK, as ``emitter_enabled: 1``, written at each
     connection."""
     stamps: StampConfig = StampConfig()
-    """How the stamps of the camera become UTC."""
+    """Conversion of the camera's stamps to UTC."""
 
 
 class RealsenseConfig(DriverConfig):

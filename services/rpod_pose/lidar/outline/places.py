@@ -199,7 +199,13 @@ def _block(grid: GridArrays, start: Vector, end: Vector) -> Block:
 
 @inlined_kernel
 def _from(values: FloatArray, value: float, including: bool) -> int:
-    """Return from which index on sorted values are above a value, or equal to it; NumPy's takes longer."""
+    """Return the first index whose value is above a given one, or equal to it; NumPy's search takes longer.
+
+    Args:
+        values: sorted values, shape (N,).
+        value: the given one.
+        including: whether an equal value counts.
+    """
     low, high = 0, values.size
     while low < high:
         middle = (low + high) // 2

@@ -1,4 +1,4 @@
-"""What the rays beside the outline say of the pose.
+"""Evidence of the rays beside the outline for the pose.
 
 A small motion of the target moves the outline, and each ray beside it may change sides: its likelihood is a
 step in its distance from the outline,

@@ -37,7 +37,7 @@ HALVINGS = 20
 
 
 class Proposal(NamedTuple):
-    """What the samples of the first round are drawn from."""
+    """Distribution from which the samples of the first round are drawn."""
 
     covariance: FloatArray
     """Rough covariance of (dtau, dtheta), rather too large, shape (6, 6)."""

@@ -34,7 +34,7 @@ class _Sum:
 
     stamp_ns: int
     rate_rad_s: FloatArray
-    """As it was measured."""
+    """The measured value."""
     force_m_s2: FloatArray
     G: FloatArray
     S: FloatArray

@@ -24,7 +24,7 @@ from rpod_target import Equivalence, Target
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """How tracks are predicted: the model, and its states before any measurement."""
+    """Prediction of tracks: the model, and its states before any measurement."""
 
     model: MotionModel | None = None
     """Model of the motion; None for constant velocity and rate as seen from the chaser."""

@@ -70,13 +70,13 @@ class FilterState:
     centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Centre of mass r of the target, target axes, shape (3,)."""
     alike: Equivalence = NO_SYMMETRY
-    """Which attitudes no measurement tells apart."""
+    """Attitudes that no measurement tells apart."""
     blocks: tuple[Block, ...] = ()
     """Further states; their names differ."""
     model: MotionModel | None = None
     """Model of the motion between measurements; None for constant velocity and rate."""
     manoeuvre: Manoeuvre = CALM
-    """By how much the densities of accelerations are raised."""
+    """Factor by which the densities of accelerations are raised."""
 
     @property
     def size(self) -> int:

@@ -1,4 +1,4 @@
-"""How a track begins: at a pose that was found, at the rival that remains, or at a given pose."""
+"""The beginning of a track: at a pose that was found, at the rival that remains, or at a given pose."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

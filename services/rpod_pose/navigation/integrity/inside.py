@@ -1,4 +1,4 @@
-"""What a sensor's frames tell of errors inside them: residuals of the model, and parts of the data.
+"""Tests of a sensor's frames for errors inside them: residuals of the model, and parts of the data.
 
 A method that can tell gives each registration a ``Misfit`` and a ``PartSolution`` (``rpod_pose.ports``). The
 sums of the misfits over a minute test whether the target's model and the pose are right. The position by a
@@ -42,7 +42,7 @@ _MOST_LOG_ODDS = 50.0
 
 @dataclass(frozen=True, eq=False)
 class Inside:
-    """What was told by the frames of the last minute, by the sensor's name."""
+    """Results of the frames of the last minute, by the sensor's name."""
 
     misfits: Mapping[str, tuple[tuple[int, Misfit], ...]] = field(default_factory=dict)
     """Stamps and misfits of the frames."""

@@ -53,7 +53,7 @@ class Solution:
     """A solution under a hypothesis of what is wrong, at the stamp of the estimate."""
 
     name: str
-    """What it leaves out; empty for the one with all measurements."""
+    """Measurements that it leaves out; empty for the one with all measurements."""
     separation: FloatArray
     """(dp, dtheta) from it to the estimate, m and rad, shape (6,)."""
     covariance: FloatArray

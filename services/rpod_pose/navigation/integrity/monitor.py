@@ -37,20 +37,20 @@ from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
 
 NOT_TOLD = "; which of them is wrong is not known: calibrate both"
-"""What an offset between two mounts does not tell, and what to do."""
+"""Text on what an offset between two mounts does not tell, with the remedy."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
-"""What levels cover where one of several sensors alone is not good enough for the alert limits."""
+"""Text on what levels cover where one of several sensors alone is not good enough for the alert limits."""
 SIZE_BELIEVED = (
     "the size of the target is believed as its file states it; to have it checked, calibrate the camera"
 )
-"""What levels do not cover where the distances of a camera are not good enough for the alert limits."""
+"""Text on what levels leave out where a camera's distances are not good enough for the alert limits."""
 SIZE_DECLARED = "sizes up to 2 % off are not told apart, and are covered as far as scale_tolerance says"
-"""What levels do not cover where a size that the frames cannot exclude is not good enough for the limits."""
+"""Text on what levels leave out where sizes that no frame excludes are not good enough for the limits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What the monitor remembers between two frames."""
+    """State of the monitor between two frames."""
 
     residuals: Mapping[str, tuple[Residual, ...]] = field(default_factory=dict)
     """Residuals of each sensor in the window."""
@@ -66,7 +66,7 @@ class Memory:
     frozen: frozenset[str] = frozenset()
     """Sensors whose newest frames are identical."""
     inside: Inside = field(default_factory=Inside)
-    """What the sensors' frames tell of errors inside them."""
+    """Tests of the sensors' frames for errors inside them."""
 
 
 class Monitor:

@@ -45,8 +45,8 @@ def test_a_slice_of_time_reads_only_the_chunks_that_it_touches(log_path):
             return getattr(self.stream, name)
 
     with open_log(log_path) as log:
-        guarded = log._parts[0].reader._stream
-        stream = guarded._stream = CountingReads(guarded._stream)
+        checked = log._parts[0].reader._stream
+        stream = checked._stream = CountingReads(checked._stream)
         start_ns = EPOCH_NS + SECOND
         stamps = [o.stamp_ns for o in log.odometry(TRUTH, start_ns=start_ns, end_ns=start_ns + SECOND // 10)]
         assert len(stamps) == 25

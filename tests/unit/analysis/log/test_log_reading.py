@@ -182,8 +182,8 @@ def test_ten_gigabytes_are_opened_and_sliced_by_reading_a_few_kilobytes(tmp_path
     assert path.stat().st_size > 10_000_000_000
     assert path.stat().st_blocks * 512 < 10_000_000
     with open_log(path) as log:
-        guarded = log._parts[0].reader._stream
-        stream = guarded._stream = Reads(guarded._stream)
+        checked = log._parts[0].reader._stream
+        stream = checked._stream = Reads(checked._stream)
         middle_ns = (log.start_ns + log.end_ns) // 2
         found = list(log.messages(TRUTH, start_ns=middle_ns, end_ns=middle_ns + 10 * SECOND))
         assert [logged.sequence for logged in found] == list(range(101, 111))

@@ -35,7 +35,7 @@ def digest(run):
 
 
 @pytest.fixture(scope="module")
-def tally(run):
+def totals(run):
     return RunTotals.of(*run)
 
 
@@ -44,11 +44,11 @@ def titles(figure):
     return {axis.title.text for axis in axes if axis.visible is not False and axis.title.text}
 
 
-def test_every_figure_names_its_quantities_and_their_units(digest, tally):
+def test_every_figure_names_its_quantities_and_their_units(digest, totals):
     assert titles(error_figure(digest)) == {"time [s]", "error [°]", "error [m]"}
     assert titles(state_figure(digest)) == {"time [s]", "distance [m]", "state", "source"}
-    assert titles(timing_figure(tally)) == {"latency [ms]", "processing [ms]", "frames"}
-    assert titles(consistency_figure(digest, tally)) == {
+    assert titles(timing_figure(totals)) == {"latency [ms]", "processing [ms]", "frames"}
+    assert titles(consistency_figure(digest, totals)) == {
         "time [s]", "NEES [-]", "NIS [-]", "share of frames per bin",
     }  # fmt: skip
     path = path_figure(digest)
@@ -82,8 +82,8 @@ def test_the_state_bands_cover_the_run_without_overlap(run, digest):
     assert spans[-1][1] == pytest.approx(run.whole().seconds(run.whole().statuses.stamp_ns)[-1])
 
 
-def test_bounds_of_nees_and_nis_are_drawn_and_the_expected_shares_are_chi_squareds(digest, tally):
-    figure = consistency_figure(digest, tally)
+def test_bounds_of_nees_and_nis_are_drawn_and_the_expected_shares_are_chi_squareds(digest, totals):
+    figure = consistency_figure(digest, totals)
     levels = sorted({shape.y0 for shape in figure.layout.shapes})
     assert levels == [6.0, 12.59]
     found, expected = (trace for trace in figure.data if trace.xaxis == "x2")

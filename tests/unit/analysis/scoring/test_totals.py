@@ -16,16 +16,16 @@ from rpod_schemas.types import Mode
 T, L, A, V = Mode.TRACKING, Mode.LOST, Mode.ACQUIRING, Mode.VERIFYING
 
 
-def tally_of(tmp_path, **options):
+def totals_of(tmp_path, **options):
     with open_log(SyntheticRun(**options).write(tmp_path / "run.mcap")) as log:
         return RunTotals.of(*stream_run(log))
 
 
 def test_lost_time_counts_lost_and_acquiring_after_the_first_tracking_only(tmp_path):
     modes = [A, A, V, T, T, L, A, V, T, L]
-    tally = tally_of(tmp_path, duration_s=0.9, frame=lambda k, _: Frame(mode=modes[k]))
-    assert tally.lost_ns == 200_000_000
-    assert tally_of(tmp_path, duration_s=0.2, frame=lambda k, _: Frame(mode=modes[k])).lost_ns == 0
+    totals = totals_of(tmp_path, duration_s=0.9, frame=lambda k, _: Frame(mode=modes[k]))
+    assert totals.lost_ns == 200_000_000
+    assert totals_of(tmp_path, duration_s=0.2, frame=lambda k, _: Frame(mode=modes[k])).lost_ns == 0
 
 
 def test_changes_of_state_are_told_with_time_and_reason_and_counted_where_they_are_many(tmp_path):
@@ -33,12 +33,12 @@ def test_changes_of_state_are_told_with_time_and_reason_and_counted_where_they_a
         lost = number in (7, 8)
         return Frame(mode=L if lost else A if number < 2 else T, reason="gate: nis 80.0" if lost else "")
 
-    changes = tally_of(tmp_path, frame=frame).changes
+    changes = totals_of(tmp_path, frame=frame).changes
     assert [(change.before, change.after, change.reason) for change in changes] == [
         (A, T, ""), (T, L, "gate: nis 80.0"), (L, T, ""),
     ]  # fmt: skip
     assert changes[1].time_s == pytest.approx(0.7 + 2 / 250)
-    flapping = tally_of(tmp_path, duration_s=9.0, frame=lambda k, _: Frame(mode=L if k % 2 else T))
+    flapping = totals_of(tmp_path, duration_s=9.0, frame=lambda k, _: Frame(mode=L if k % 2 else T))
     assert (flapping.change_count, len(flapping.changes)) == (90, 12)
 
 
@@ -51,8 +51,8 @@ def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):
 
     with open_log(SyntheticRun(frame=frame).write(tmp_path / "run.mcap")) as log:
         run = stream_run(log)
-        tally = RunTotals.of(*run)
-        line = headline(summarise(log, run, tally), tally)
+        totals = RunTotals.of(*run)
+        line = headline(summarise(log, run, totals), totals)
     assert line == (
         "Acquired after 0.01 s, tracked 100 % of the time, at most 0 s without a track, "
         "worst errors 3.00° (at 0.4 s) and 20.0 cm (at 0.9 s), "
@@ -61,9 +61,9 @@ def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):
 
 
 def test_reasons_are_counted_by_kind_whatever_the_numbers_in_them(tmp_path):
-    tally = tally_of(tmp_path, frame=lambda k, _: Frame(reason=f"gate: nis {20 + k}.5" if k % 2 else ""))
-    assert tally.reasons.most_common(3) == [("gate: nis …", 10)]
-    assert tally.by_sensor == {"pmd": {"accepted": 11, "rejected": 10}}
+    totals = totals_of(tmp_path, frame=lambda k, _: Frame(reason=f"gate: nis {20 + k}.5" if k % 2 else ""))
+    assert totals.reasons.most_common(3) == [("gate: nis …", 10)]
+    assert totals.by_sensor == {"pmd": {"accepted": 11, "rejected": 10}}
 
 
 def test_sizes_are_rms_95_percent_and_maximum():

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.surroundings.bodies import KnownBodies, Surface, placed
-from rpod_pose.surroundings.body_check import FRAMES, BodyBook, Sighting, Verdict, sighting, told
+from rpod_pose.surroundings.body_check import FRAMES, BodyBook, BodyState, Sighting, sighting, told
 from rpod_pose.surroundings.separation import RangeImage
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import make_pose
@@ -53,7 +53,7 @@ def wall(distance_m):
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.04, 0.0, 0.0), (0.0, 0.0, 0.04)])
 def test_a_body_that_is_off_by_less_than_its_tolerance_is_in_its_place(around, off, tmp_path):
     found = seen(frame((LIMB, moved(*off)), *around), tmp_path)
-    assert found.verdict is Verdict.IN_PLACE
+    assert found.state is BodyState.IN_PLACE
     assert found.rays > 1000
 
 
@@ -61,7 +61,7 @@ def test_a_body_that_is_off_by_less_than_its_tolerance_is_in_its_place(around, o
 @pytest.mark.parametrize("off", [(0.25, 0.0, 0.0), (-0.2, 0.0, 0.2), (0.0, 0.0, 0.3), (0.0, 0.0, -0.25)])
 def test_a_body_elsewhere_is_told_with_its_offset(around, off, tmp_path):
     found = seen(frame((LIMB, moved(*off)), *around), tmp_path)
-    assert found.verdict is Verdict.ELSEWHERE
+    assert found.state is BodyState.ELSEWHERE
     np.testing.assert_allclose(found.offset_m, off, atol=0.09)
     text = told("pmd", found, np.eye(3))
     x, y, z = found.offset_m
@@ -77,13 +77,13 @@ def test_an_encoder_that_is_off_by_twenty_degrees_is_told_though_no_shift_explai
     position_m = shoulder + turn.apply(ANNOUNCED.translation - shoulder)
     actual = make_pose(rotation=turn * ANNOUNCED.rotation, translation_m=position_m)
     found = seen(frame((LIMB, actual), wall(4.0)), tmp_path)
-    assert found.verdict is Verdict.ELSEWHERE
+    assert found.state is BodyState.ELSEWHERE
     assert found.in_place < 0.5 * found.rays
 
 
 def test_a_body_that_is_not_there_is_told_by_the_rays_that_end_beyond_it(tmp_path):
     found = seen(frame(wall(4.0)), tmp_path)
-    assert (found.verdict, found.offset_m, found.in_place) == (Verdict.ELSEWHERE, None, 0)
+    assert (found.state, found.offset_m, found.in_place) == (BodyState.ELSEWHERE, None, 0)
     assert f"of {found.rays} rays that should meet it {found.rays} end beyond it" in told(
         "p", found, np.eye(3)
     )
@@ -95,7 +95,7 @@ def test_a_wall_close_behind_an_absent_body_is_not_taken_for_it(tmp_path):
 
 def test_a_dark_body_is_not_seen_and_not_contradicted(tmp_path):
     found = seen(frame(), tmp_path)
-    assert (found.verdict, found.missing) == (Verdict.UNSEEN, found.rays)
+    assert (found.state, found.missing) == (BodyState.UNSEEN, found.rays)
     assert "its pose is not checked" in told("pmd", found, np.eye(3))
 
 
@@ -105,22 +105,24 @@ def test_a_body_that_something_larger_hides_is_not_judged(distance_m, tmp_path):
     hiding = box, make_pose(translation_m=(0.0, 0.0, distance_m))
     found = seen(frame((LIMB, ANNOUNCED), hiding), tmp_path)
     assert found.offset_m is None
-    assert found.verdict in (Verdict.HIDDEN, Verdict.IN_PLACE)
+    assert found.state in (BodyState.HIDDEN, BodyState.IN_PLACE)
 
 
 def test_a_state_changes_after_frames_in_a_row_of_one_sensor_and_hidden_ones_do_not_count():
     book, axes = BodyBook(), np.eye(3)
-    away = Sighting("limb", Verdict.ELSEWHERE, 0.05, 100, 10, 90)
+    away = Sighting("limb", BodyState.ELSEWHERE, 0.05, 100, 10, 90)
     for frames in range(FRAMES - 1):
         book.take("pmd", away, axes)
-        book.take("pmd", Sighting("limb", Verdict.HIDDEN, 0.05), axes)
-        book.take("lidar", Sighting("limb", Verdict.IN_PLACE, 0.05, 50, 50, 0), axes)
-        assert {state for *_, state, _ in book.states} == {Verdict.IN_PLACE}, frames
+        book.take("pmd", Sighting("limb", BodyState.HIDDEN, 0.05), axes)
+        book.take("lidar", Sighting("limb", BodyState.IN_PLACE, 0.05, 50, 50, 0), axes)
+        assert {state for *_, state, _ in book.states} == {BodyState.IN_PLACE}, frames
     book.take("pmd", away, axes)
-    assert [(sensor, state) for _, sensor, state, text in book.states if text] == [("pmd", Verdict.ELSEWHERE)]
-    assert book.counts["limb", "pmd", Verdict.ELSEWHERE] == FRAMES
+    assert [(sensor, state) for _, sensor, state, text in book.states if text] == [
+        ("pmd", BodyState.ELSEWHERE)
+    ]
+    assert book.counts["limb", "pmd", BodyState.ELSEWHERE] == FRAMES
     for _ in range(FRAMES):
-        book.take("pmd", Sighting("limb", Verdict.IN_PLACE, 0.05, 100, 100, 0), axes)
+        book.take("pmd", Sighting("limb", BodyState.IN_PLACE, 0.05, 100, 100, 0), axes)
     assert not any(text for *_, text in book.states)
 
 
