@@ -258,7 +258,14 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
 
 @kernel
 def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) -> tuple[int, int]:
-    """Return the first and last + 1 of the lines that may hit a triangle: rows for axis 1, columns for 0."""
+    """Return the first and last + 1 of the lines that may hit a triangle: rows for axis 1, columns for 0.
+
+    Args:
+        corner: corners of the triangle, sensor axes, shape (3, 3), m.
+        axis: coordinate that the lines divide.
+        lower: ``row_lower`` or ``column_lower`` of the grid, shape (lines,).
+        upper: ``row_upper`` or ``column_upper``, shape (lines,).
+    """
     least, most = np.inf, -np.inf
     for i in range(3):
         j = (i + 1) % 3
