@@ -3,8 +3,10 @@
 import importlib
 import inspect
 import pkgutil
+import re
 import typing
 
+import numpy as np
 import pytest
 from numba import njit
 from numba.core.dispatcher import Dispatcher
@@ -54,6 +56,22 @@ def test_a_kernel_says_what_it_does(kernel):
     text = inspect.getdoc(kernel.py_func)
     assert text
     assert text.split(maxsplit=1)[0] not in ("Of", "For")
+
+
+SHAPE = re.compile(
+    r"\bshape|\((?:\w+(?: [-+] \d)?,)(?: ?\w+(?: [-+] \d)?,?)*\)|\b[nK] x [nK]\b|arguments|``\w+\.\w+``"
+)
+"""A shape, such as "shape (N, 3)" or "(3,)", or a reference to a record or function that says it."""
+NO_SHAPES_YET = "rpod_pose.pmd."
+
+
+@pytest.mark.parametrize(
+    "kernel", [one for one in KERNELS if not one.values[0].py_func.__module__.startswith(NO_SHAPES_YET)]
+)
+def test_a_kernel_that_takes_arrays_says_their_shapes(kernel):
+    annotations = typing.get_type_hints(kernel.py_func)
+    arrays = [name for name, kind in annotations.items() if typing.get_origin(kind) is np.ndarray]
+    assert not set(arrays) - {"return"} or SHAPE.search(inspect.getdoc(kernel.py_func)), arrays
 
 
 @pytest.mark.parametrize("kernel", KERNELS)

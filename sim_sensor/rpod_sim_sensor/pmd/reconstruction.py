@@ -191,7 +191,7 @@ def _mark_row(
     strength: FloatArray,
     lost: NDArray[np.int64],
 ) -> None:
-    """Fill a row's phases in turns, add its amplitudes, and mark the pixels without depth."""
+    """Fill a row's phases in turns, (W,), add its amplitudes, and mark the pixels without depth."""
     offset = np.float64(SAMPLE_OFFSET)
     for column in range(wrapped.size):
         q1, q2 = samples[column, 0] - offset, samples[column, 1] - offset
