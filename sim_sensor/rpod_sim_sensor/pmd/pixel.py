@@ -132,7 +132,7 @@ def _fill(  # noqa: PLR0917
     fullest: FloatArray,
     counts: NDArray[np.int32],
 ) -> None:
-    """Fill both taps of a row's pixels in a sub-exposure, and convert their clipped difference; shape (W,)."""
+    """Fill both taps of a row's pixels in a sub-exposure, and convert the clipped difference; shape (W,)."""
     signal, stray, normal, share = taken
     suppression_e, full_well_e = share * electronics.suppression_e, electronics.full_well_e
     gain, counts_per_e = share * electronics.contrast, 1.0 / electronics.electrons_per_count
