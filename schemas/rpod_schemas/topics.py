@@ -274,13 +274,13 @@ class Namespace:
         return Topic(relative, "")
 
 
+_LATCHED = frozenset(topic.name for topic in TOPICS if topic.latched)
+
+
 def is_latched(name: str) -> bool:
     """Return whether a topic is latched according to the ICD."""
     kind = name.split("/", 1)[-1]
-    return any(
-        topic.latched and (topic.name == name or topic.name in (f"<camera>/{kind}", f"<lidar>/{kind}"))
-        for topic in TOPICS
-    )
+    return not _LATCHED.isdisjoint((name, f"<camera>/{kind}", f"<lidar>/{kind}"))
 
 
 def is_wire_type(text: str) -> bool:
