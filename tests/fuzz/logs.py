@@ -53,7 +53,11 @@ def _records_changed(rnd: Random) -> bytes:
         index, kind = rnd.randrange(len(records)), rnd.randrange(6)
         opcode, size, body = records[index]
         if kind == 0:
-            records[index] = [opcode, rnd.choice((0, min(size + 1, 2**64 - 1), 2**31, 2**63, 2**64 - 1)), body]
+            records[index] = [
+                opcode,
+                rnd.choice((0, min(size + 1, 2**64 - 1), 2**31, 2**63, 2**64 - 1)),
+                body,
+            ]
         elif kind == 1:
             del records[index]
         elif kind == 2:
