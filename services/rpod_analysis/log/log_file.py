@@ -34,7 +34,7 @@ _CHUNK = struct.Struct("<BQQQQ")
 _LENGTHS = struct.Struct("<II")
 """Chunk, after the above: checksum of the content, length of the compression's name."""
 _FRAME_BYTES = 9
-_DAMAGE = (McapError, RuntimeError, ValueError, KeyError, struct.error, EOFError, ZstdError)
+_DAMAGE = (McapError, RuntimeError, ValueError, KeyError, OverflowError, struct.error, EOFError, ZstdError)
 """Exceptions that the MCAP reader and the decompression raise on damaged bytes."""
 
 
