@@ -65,7 +65,7 @@ class SensorBook:
         self.repeats = 0
         """Number of its newest frames that are identical to the one before them."""
         self.defect = ""
-        """What is wrong with its newest frame although it can be used."""
+        """Defect of its newest frame although it can be used; empty if there is none."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
