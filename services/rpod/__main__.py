@@ -11,15 +11,15 @@ import typer
 from pydantic import BaseModel
 
 from rpod import __version__
-from rpod.calibrate_verbs import calibrate_verbs
-from rpod.campaign_verbs import campaign_verbs
-from rpod.driver_verbs import driver_verbs
+from rpod.calibrate.verbs import calibrate_verbs
+from rpod.campaign.verbs import campaign_verbs
+from rpod.driver.verbs import driver_verbs
 from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
-from rpod.log_verbs import log_verbs
-from rpod.pki_verbs import pki_verbs
+from rpod.logs.verbs import log_verbs
+from rpod.pki.verbs import pki_verbs
 from rpod.reloading import run_reloading
-from rpod.target_verbs import target_verbs
+from rpod.target.verbs import target_verbs
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
@@ -282,7 +282,7 @@ def run(
     ] = False,
 ) -> None:
     """Play a scenario through all services, and score it."""
-    from rpod.command_run import run_command
+    from rpod.play.command import run_command
 
     code = run_command(
         scenario,

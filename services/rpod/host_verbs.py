@@ -21,7 +21,7 @@ def up(
     ] = False,
 ) -> None:
     """Start the services of a facility and keep them alive until Ctrl-C, SIGTERM or 'rpod down'."""
-    from rpod.command_up import up_command
+    from rpod.up.command import up_command
 
     raise typer.Exit(up_command(facility, as_json=as_json))
 
@@ -29,7 +29,7 @@ def up(
 @host_verbs.command()
 def ps(facility: FacilityArgument, as_json: JsonOption = False) -> None:
     """Show the services that 'rpod up' keeps alive: exit 0 if all are at work, 1 if not."""
-    from rpod.command_up import ps_command
+    from rpod.up.command import ps_command
 
     raise typer.Exit(ps_command(facility, as_json=as_json))
 
@@ -37,7 +37,7 @@ def ps(facility: FacilityArgument, as_json: JsonOption = False) -> None:
 @host_verbs.command()
 def down(facility: FacilityArgument, as_json: JsonOption = False) -> None:
     """Stop the services that 'rpod up' keeps alive, and wait until they have."""
-    from rpod.command_up import down_command
+    from rpod.up.command import down_command
 
     raise typer.Exit(down_command(facility, as_json=as_json))
 
@@ -58,7 +58,7 @@ def doctor(
     as_json: JsonOption = False,
 ) -> None:
     """Check this host (clock, versions, disk, port, link) and say what to do: exit 1 if a check fails."""
-    from rpod.command_doctor import doctor_command
+    from rpod.doctor.command import doctor_command
 
     raise typer.Exit(
         doctor_command(

@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 import psutil
 
-from rpod.command_campaign import campaign_command
+from rpod.campaign.command import campaign_command
 
 CELL = {
     "target", "method", "eq4", "sampling", "centroid", "matcher", "range_m", "step_deg", "trials",

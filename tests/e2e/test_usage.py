@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rpod.facility import configure
+from rpod.play.facility import configure
 from rpod.scenarios import find, shipped
 
 SCENARIOS = {

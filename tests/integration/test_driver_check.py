@@ -10,7 +10,7 @@ import pytest
 from checked_sensors import INFO, wall_frames
 from live_bus import TIMEOUT_S, daemon
 
-from rpod.command_driver_check import CheckOptions, check_command
+from rpod.driver.check import CheckOptions, check_command
 from rpod_driver import run as run_driver
 from rpod_emulator.daemon import run
 from rpod_motion.daemon import run as run_motion

@@ -6,9 +6,9 @@ import psutil
 import pytest
 from facility_process import until
 
-from rpod import supervisor
 from rpod.errors import ServiceDiedError
-from rpod.supervisor import Supervisor
+from rpod.play import supervisor
+from rpod.play.supervisor import Supervisor
 from rpod_runtime.session import free_endpoint
 from rpod_schemas.config.service import RouterConfig
 

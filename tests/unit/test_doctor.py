@@ -5,8 +5,8 @@ import socket
 
 import pytest
 
-from rpod.command_doctor import doctor_command
 from rpod.doctor.bus import judge_link
+from rpod.doctor.command import doctor_command
 from rpod.doctor.finding import Level
 from rpod.doctor.host import clock, disk, judge_clock, judge_disk, port, room, versions
 
@@ -65,7 +65,7 @@ def test_this_machine_runs_the_versions_that_it_runs(tmp_path, monkeypatch):
 
 def test_without_a_router_the_command_fails_and_says_what_to_start(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("rpod.doctor.host._DISK_BYTES", 1 << 20)
-    monkeypatch.setattr("rpod.command_doctor._TIMEOUT_S", 0.1)
+    monkeypatch.setattr("rpod.doctor.command._TIMEOUT_S", 0.1)
     code = doctor_command(
         None, connect="tcp/127.0.0.1:9", other_router=None, directory=tmp_path, as_json=True
     )

@@ -4,8 +4,8 @@ from collections import deque
 
 import pytest
 
-from rpod import draining
-from rpod.draining import await_logged
+from rpod.play import draining
+from rpod.play.draining import await_logged
 from rpod_runtime import QueryFailedError
 from rpod_schemas.control import StatusReply
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from rpod.facility import configure
-from rpod.fault_player import FaultPlayer
+from rpod.play.facility import configure
+from rpod.play.fault_player import FaultPlayer
 from rpod.scenarios import find
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.scenario import Scenario

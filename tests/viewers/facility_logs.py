@@ -7,8 +7,8 @@ from pathlib import Path
 
 from logger_desk import Desk
 
-from rpod.progress import Progress
-from rpod.run import RunFolder, play
+from rpod.play.progress import Progress
+from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
 from rpod_analysis.recovery import recover
 from rpod_runtime import Received

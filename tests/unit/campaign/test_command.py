@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rpod.__main__ import app
-from rpod.command_campaign import campaign_command
+from rpod.campaign.command import campaign_command
 from rpod_campaign.catalogue import BUILT_IN, find, names, options_of
 
 

@@ -5,7 +5,7 @@ import json
 import polars as pl
 import pytest
 
-from rpod.command_campaign import campaign_command
+from rpod.campaign.command import campaign_command
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.limits.campaign import CAMPAIGN
 from rpod_campaign.limits.derivation import derived, refused

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from rpod.command_campaign import campaign_command
+from rpod.campaign.command import campaign_command
 from rpod.scenarios import find, shipped
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.trial.poses import errors, nees_of

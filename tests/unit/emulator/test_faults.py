@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from rpod.facility import configure
+from rpod.play.facility import configure
 from rpod.scenarios import find
 from rpod_emulator.faults import Faults, FaultyNode, turned
 from rpod_runtime.errors import RefusedError

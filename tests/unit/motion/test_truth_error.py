@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rpod.facility import configure
+from rpod.play.facility import configure
 from rpod.scenarios import find
 from rpod_motion.truth_error import TruthError
 from rpod_schemas.config.motion import TruthErrorConfig

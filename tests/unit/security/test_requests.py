@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from rpod.command_pki import accept_command, request_command, sign_command
+from rpod.pki.command import accept_command, request_command, sign_command
 from rpod_security.authority import Authority
 from rpod_security.credentials import IDENTITY, KEY, REQUEST, Credentials
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_log import SyntheticRun
 
-from rpod.command_background import background_command
-from rpod.command_calibrate import calibrate_command
+from rpod.calibrate.background import background_command
+from rpod.calibrate.depth import calibrate_command
 from rpod_analysis import open_log
 from rpod_analysis.calibration.depth_calibration import evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import DepthSamples, collect

@@ -55,7 +55,7 @@ def new(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Write a target's parameter file from a CAD file: parts, materials, mass, symmetries."""
-    from rpod.command_target import new_command
+    from rpod.target.command import new_command
     from rpod_target.drafting import DraftOptions
 
     if origin not in {"auto", "file", "centre"}:
@@ -93,7 +93,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Say what rpod makes of a target: size, repairs, symmetries, accuracy, methods; draw it."""
-    from rpod.command_target import check_command
+    from rpod.target.command import check_command
 
     raise typer.Exit(
         check_command(

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
 
-from rpod.supervisor import Supervisor
+from rpod.play.supervisor import Supervisor
 from rpod_runtime import Node, QueryFailedError
 from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import RefusedError

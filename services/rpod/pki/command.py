@@ -12,7 +12,7 @@ from typing import ParamSpec
 from rich.console import Console
 from rich.table import Table
 
-from rpod.secure_run import ROLES as OF_A_RUN
+from rpod.play.secure_run import ROLES as OF_A_RUN
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
 from rpod_schemas.config.rights import MemberConfig, RightsConfig

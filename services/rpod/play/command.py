@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from rpod.errors import InterruptedRunError, RunError
-from rpod.facility import Speed
-from rpod.progress import Progress
-from rpod.run import RunFolder, play
+from rpod.play.facility import Speed
+from rpod.play.progress import Progress
+from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError

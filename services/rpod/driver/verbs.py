@@ -18,7 +18,7 @@ def list_drivers(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """List the drivers for 'rpod driver run', and how each was tested."""
-    from rpod.command_driver import list_command
+    from rpod.driver.command import list_command
 
     raise typer.Exit(list_command(as_json=as_json))
 
@@ -31,7 +31,7 @@ def run(
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
 ) -> None:
     """Publish the frames of a sensor: connect to its device, report its health, connect again."""
-    from rpod.command_driver import run_command
+    from rpod.driver.command import run_command
 
     raise typer.Exit(run_command(name, config, connect=connect, wait=wait))
 
@@ -68,7 +68,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
-    from rpod.command_driver_check import CheckOptions, check_command
+    from rpod.driver.check import CheckOptions, check_command
 
     options = CheckOptions(
         name,
@@ -93,7 +93,7 @@ def new(
     ] = Path(),
 ) -> None:
     """Write the package of a driver: driver, configuration, tests and systemd unit, which run at once."""
-    from rpod.command_driver_check import new_command
+    from rpod.driver.check import new_command
 
     raise typer.Exit(new_command(template, name, out=out))
 
@@ -103,6 +103,6 @@ def faults(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
 ) -> None:
     """List the faults that the check knows, and that scenarios and queries may ask for."""
-    from rpod.command_driver_check import faults_command
+    from rpod.driver.check import faults_command
 
     raise typer.Exit(faults_command(as_json=as_json))

@@ -12,12 +12,12 @@ from threading import Event
 from typing import Any, Self
 
 from rpod import __version__
-from rpod.draining import await_logged
 from rpod.errors import InterruptedRunError, NotReadyError
-from rpod.facility import Facility, Speed, configure
-from rpod.fault_player import FaultPlayer
-from rpod.progress import Progress
-from rpod.supervisor import Supervisor
+from rpod.play.draining import await_logged
+from rpod.play.facility import Facility, Speed, configure
+from rpod.play.fault_player import FaultPlayer
+from rpod.play.progress import Progress
+from rpod.play.supervisor import Supervisor
 from rpod_runtime import Node, NoRouterError, QueryFailedError
 from rpod_runtime.awake import AwakeClock
 from rpod_schemas.config.scenario import Scenario
@@ -96,7 +96,7 @@ def play(
     """
     facility = configure(scenario, directory=folder.directory, speed=speed)
     if pki:
-        from rpod.secure_run import secured  # noqa: PLC0415 - of an extra
+        from rpod.play.secure_run import secured  # noqa: PLC0415 - of an extra
 
         facility = secured(facility, pki.absolute(), rules=folder.directory / "config" / "rules.json")
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from rpod.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import collect

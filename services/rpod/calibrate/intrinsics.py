@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from rpod.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.intrinsics import (
     Checkerboard,

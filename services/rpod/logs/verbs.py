@@ -26,7 +26,7 @@ def report(
     _no_limits: NoLimits = False,
 ) -> None:
     """Score a log, or several in comparison; write an HTML report and summary.json beside it."""
-    from rpod.command_report import report_command
+    from rpod.logs.report import report_command
 
     raise typer.Exit(report_command(logs, out=out, as_json=as_json))
 
@@ -69,7 +69,7 @@ def replay(
     _no_limits: NoLimits = False,
 ) -> None:
     """Replay a log: through the navigator with any configuration, or onto the bus."""
-    from rpod.command_replay import BusOptions, bus_command, navigator_command
+    from rpod.logs.replay import BusOptions, bus_command, navigator_command
 
     if bus or connect or wait:
         onto = BusOptions(connect, wait, speed=speed, loop=loop, topics=topics, clock=clock)
@@ -91,7 +91,7 @@ def verify_log(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Compare logs with the digest chains that the logger wrote: exit 0 if they are as they were written."""
-    from rpod.command_verify_log import verify_log_command
+    from rpod.logs.verify import verify_log_command
 
     raise typer.Exit(verify_log_command(logs, authority=authority, as_json=as_json))
 
@@ -106,6 +106,6 @@ def recover(
     _no_limits: NoLimits = False,
 ) -> None:
     """Recover a readable log from a truncated or damaged one."""
-    from rpod.command_recover import recover_command
+    from rpod.logs.recover import recover_command
 
     raise typer.Exit(recover_command(log, out=out, as_json=as_json))

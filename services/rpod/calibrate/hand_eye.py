@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import yaml
 
-from rpod.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
 from rpod_analysis.calibration.hand_eye.logged import LoggedPoses, poses_of

@@ -62,7 +62,7 @@ def depth(
     _no_limits: NoLimits = False,
 ) -> None:
     """Find offset and wiggling of a PMD camera's distances; writes <camera>-calibration.yaml."""
-    from rpod.command_calibrate import calibrate_command
+    from rpod.calibrate.depth import calibrate_command
 
     raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))
 
@@ -75,7 +75,7 @@ def background(
     _no_limits: NoLimits = False,
 ) -> None:
     """Learn what each sensor sees without the target; writes surroundings.yaml."""
-    from rpod.command_background import background_command
+    from rpod.calibrate.background import background_command
 
     raise typer.Exit(background_command(logs, out=out, as_json=as_json))
 
@@ -92,7 +92,7 @@ def _add_hand_eye(verb: Literal["mount", "clock"], does: str) -> None:
         as_json: JsonOption = False,
         _no_limits: NoLimits = False,
     ) -> None:
-        from rpod.command_hand_eye import hand_eye_command
+        from rpod.calibrate.hand_eye import hand_eye_command
 
         raise typer.Exit(
             hand_eye_command(
@@ -127,7 +127,7 @@ def camera(
     _no_limits: NoLimits = False,
 ) -> None:
     """Find the intrinsics of a camera from images of a checkerboard; writes <sensor>-camera.yaml."""
-    from rpod.command_intrinsics import camera_command
+    from rpod.calibrate.intrinsics import camera_command
 
     raise typer.Exit(
         camera_command(

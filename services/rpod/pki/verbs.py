@@ -30,7 +30,7 @@ def pki() -> None:
 @pki_verbs.command()
 def init(host: HostOption = None, days: DaysOption = 3650, folder: FolderOption = _FOLDER) -> None:
     """Make an authority, and the router's certificate. Keep FOLDER/authority off the router's host."""
-    from rpod.command_pki import init_command
+    from rpod.pki.command import init_command
 
     raise typer.Exit(init_command(folder, hosts=host or (), days=days))
 
@@ -46,7 +46,7 @@ def issue(
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Issue the certificate of a service; its folder of credentials goes to the service's host."""
-    from rpod.command_pki import issue_command
+    from rpod.pki.command import issue_command
 
     raise typer.Exit(issue_command(folder, role, name, hosts=host or (), days=days))
 
@@ -57,7 +57,7 @@ def request(
     folder: Annotated[Path, typer.Argument(help="Folder of the credentials, named as the instance.")],
 ) -> None:
     """Make a key on this host, and a request for its certificate, which goes to the authority."""
-    from rpod.command_pki import request_command
+    from rpod.pki.command import request_command
 
     raise typer.Exit(request_command(folder, role))
 
@@ -70,7 +70,7 @@ def sign(
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Issue, or renew, the certificate of a key that was made elsewhere."""
-    from rpod.command_pki import sign_command
+    from rpod.pki.command import sign_command
 
     raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days))
 
@@ -81,7 +81,7 @@ def accept(
     folder: Annotated[Path, typer.Argument(help="Folder of the credentials, in which the key waits.")],
 ) -> None:
     """Complete credentials with the certificate that the authority signed."""
-    from rpod.command_pki import accept_command
+    from rpod.pki.command import accept_command
 
     raise typer.Exit(accept_command(signed, folder))
 
@@ -95,7 +95,7 @@ def renew(
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Replace certificates before they end; services that run take the new ones by themselves."""
-    from rpod.command_pki import renew_command
+    from rpod.pki.command import renew_command
 
     raise typer.Exit(renew_command(folder, names or (), days=days))
 
@@ -106,7 +106,7 @@ def revoke(
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Take rights away: make the rules anew and restart the router after it."""
-    from rpod.command_pki import revoke_command
+    from rpod.pki.command import revoke_command
 
     raise typer.Exit(revoke_command(folder, names))
 
@@ -128,7 +128,7 @@ def rules(
     folder: FolderOption = _FOLDER,
 ) -> None:
     """Make the router's access rules of the facility's configuration and of the valid certificates."""
-    from rpod.command_pki import rules_command
+    from rpod.pki.command import rules_command
 
     raise typer.Exit(rules_command(folder, members, out=out, router=router))
 
@@ -136,7 +136,7 @@ def rules(
 @pki_verbs.command()
 def show(folder: FolderOption = _FOLDER, as_json: JsonOption = False) -> None:
     """List certificates, with their roles and ends, and the roles that there are."""
-    from rpod.command_pki import show_command
+    from rpod.pki.command import show_command
 
     raise typer.Exit(show_command(folder, as_json=as_json))
 
@@ -146,6 +146,6 @@ def audit(
     record: Annotated[Path, typer.Argument(help="Audit record: audit.jsonl of a folder of credentials.")],
 ) -> None:
     """Check that no line of an audit record was changed, removed or put in."""
-    from rpod.command_pki import audit_command
+    from rpod.pki.command import audit_command
 
     raise typer.Exit(audit_command(record))

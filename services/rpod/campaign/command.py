@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from rpod import __version__
-from rpod.campaign_progress import CampaignProgress
-from rpod.command_run import EXIT_INTERRUPTED
+from rpod.campaign.progress import CampaignProgress
+from rpod.play.command import EXIT_INTERRUPTED
 from rpod.scenarios import find as find_scenario
 from rpod.scenarios import shipped
 from rpod_campaign.catalogue import find

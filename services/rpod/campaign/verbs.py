@@ -68,7 +68,7 @@ def _verb(name: str, model: "type[Options]") -> Any:
     """Return the command of a campaign."""
 
     def run(**given: Any) -> None:
-        from rpod.command_campaign import campaign_command
+        from rpod.campaign.command import campaign_command
 
         common = {key: given.pop(key) for key in _EVERYWHERE}
         raise typer.Exit(campaign_command(name, options=given, **common))

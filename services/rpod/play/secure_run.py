@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from rpod.facility import Facility
+from rpod.play.facility import Facility
 from rpod_schemas.config.service import ServiceConfig
 from rpod_security.certificates import Identity
 from rpod_security.credentials import Credentials

@@ -1,0 +1,1 @@
+"""``rpod calibrate``: what a laboratory calibrates from its logs."""

@@ -1,0 +1,1 @@
+"""``rpod campaign``: its verbs, its output, and the progress of its trials."""

@@ -1,0 +1,1 @@
+"""The verbs that read logs: ``report``, ``replay``, ``recover``, ``verify-log``."""

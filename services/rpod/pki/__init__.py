@@ -1,0 +1,1 @@
+"""``rpod pki``: certificates and access rules."""

@@ -1,0 +1,1 @@
+"""``rpod run``: plays a scenario through the services as processes on this machine."""
