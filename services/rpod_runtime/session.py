@@ -7,7 +7,6 @@ import json
 import logging
 import socket
 import time
-from itertools import count
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -16,6 +15,7 @@ import zenoh
 
 from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
 from rpod_runtime.refusal import why_refused
+from rpod_runtime.starts import next_start
 from rpod_schemas.config.link import LinkConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
@@ -38,13 +38,10 @@ _HANDSHAKE_MS, _PENDING = 1000, 4000
 """Longest time for a connection to say who it is, and number of connections that may be about to: so that
 idle ones keep nobody out."""
 _REMIND_S = 10.0
-_opened = count()
 _STARTS = 1024
 """Number of identities that a configured one stands for: it, followed by three hexadecimal digits."""
 _LONGEST_ID = 29
 """Number of digits that are kept of a configured identity: Zenoh's have 32."""
-_STARTS_HZ = 4
-"""Identities a second: the same one returns after 256 s."""
 
 
 def _zenoh_config(
@@ -119,7 +116,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
     """
     identity: dict[str, Any] = {}
     if zenoh_id and bus.credentials is None:
-        identity = {"id": _identity(zenoh_id, time.time_ns() * _STARTS_HZ // 1_000_000_000 + next(_opened))}
+        identity = {"id": _identity(zenoh_id, next_start(zenoh_id))}
     config = _zenoh_config(
         bus.link,
         mode="client",
@@ -153,9 +150,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
 def _identity(zenoh_id: str, start: int) -> str:
     """Return the identity of one start of a client.
 
-    Receivers with recovery know a publisher by session and entity. They would take the messages of a
-    restarted client with the same identity for old ones, and not hear it for as long as the client before
-    had published.
+    Receivers would not hear a restarted client with the same identity (``rpod_runtime.starts``).
     """
     return f"{zenoh_id[:_LONGEST_ID]}{start % _STARTS:03x}"
 

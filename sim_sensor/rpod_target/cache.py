@@ -21,15 +21,6 @@ DIGEST = "content_digest"
 """Name in a file of the digest of its arrays."""
 
 
-def default_directory() -> Path:
-    """Return the cache's folder: $RPOD_CACHE, $XDG_CACHE_HOME/rpod or ~/.cache/rpod."""
-    if own := os.environ.get("RPOD_CACHE"):
-        return Path(own)
-    if shared := os.environ.get("XDG_CACHE_HOME"):
-        return Path(shared) / "rpod"
-    return Path.home() / ".cache" / "rpod"
-
-
 def sealed(arrays: Mapping[str, Array]) -> dict[str, Array]:
     """Return arrays together with their digest, which is named ``DIGEST``."""
     return {**arrays, DIGEST: np.array(_digest(arrays))}

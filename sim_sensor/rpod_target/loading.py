@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from rpod_schemas.arrays import Array
+from rpod_schemas.cache_folder import cache_folder
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
@@ -67,7 +68,7 @@ def load_target(
         chosen = _without(parameters, without, source=source)
         digest = _digest(chosen, meshes, variation)
         bare = _bare(chosen)
-        file = (cache or store.default_directory()) / f"sealed-{_digest(bare, meshes, variation)}.npz"
+        file = (cache or cache_folder()) / f"sealed-{_digest(bare, meshes, variation)}.npz"
         arrays = store.read(file)
         if arrays is None:
             arrays = store.sealed(_build(chosen, meshes, source, read or {}, variation))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.arrays import Array
+from rpod_schemas.cache_folder import cache_folder
 from rpod_target import cache as store
 from rpod_target.target import Target
 
@@ -32,7 +33,7 @@ def kept(name: str, version: int, inputs: tuple[Any, ...], make: Callable[[], Ta
         array = np.ascontiguousarray(each)
         content.update(f" {array.dtype.str} {array.shape} ".encode())
         content.update(array.tobytes())
-    file = store.default_directory() / f"table-{name}-{content.hexdigest()}.npz"
+    file = cache_folder() / f"table-{name}-{content.hexdigest()}.npz"
     found = store.read(file)
     if found is not None:
         del found[store.DIGEST]
