@@ -57,7 +57,6 @@ _FLOW_PERIOD_S = 0.9
 _LINGER_S = 0.3
 """Time that a node stays open after its last numbers, so that receivers can recover what they missed."""
 
-_TOKENS_S = 10.0
 """Longest wait for the router's answer; one without tokens would let a check report no publisher."""
 
 
@@ -203,12 +202,22 @@ class Node(Asker):
         )
         self._stack.callback(watcher.undeclare)
 
-    def publisher_qos(self) -> list[tuple[str, str]]:
-        """Return topic and quality of service of each publisher on the bus, from the liveliness tokens."""
-        replies = self._session.liveliness().get(publisher_tokens(self._keys), timeout=_TOKENS_S)
-        tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok]
-        topics = ((topic_of_token(token, self._keys), token) for token in tokens)
-        return [(topic.name, qos_of_token(token)) for topic, token in topics if topic is not None]
+    def watch_publisher_qos(self, tell: Callable[[tuple[str, str]], None]) -> None:
+        """Call ``tell`` with topic and quality of service of each publisher, from its liveliness token.
+
+        It runs in the bus's thread, at once for the publishers that are there, then for those that come.
+        """
+
+        def take(token: zenoh.Sample) -> None:
+            key = str(token.key_expr)
+            topic = topic_of_token(key, self._keys)
+            if token.kind == zenoh.SampleKind.PUT and topic is not None:
+                tell((topic.name, qos_of_token(key)))
+
+        watcher = self._session.liveliness().declare_subscriber(
+            publisher_tokens(self._keys), take, history=True
+        )
+        self._stack.callback(watcher.undeclare)
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool

@@ -126,7 +126,7 @@ def test_the_emulator_is_in_order_and_beside_truth_too(bus, capsys):
 def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(bus, capsys, fault):
     with emulated(bus, fault):
         code, told = checked(bus, capsys, duration_s=6.0 if fault == "slow_link" else 3.0)
-    assert code == 1
+    assert code == 1, json.dumps(told, indent=1)
     assert fault in told["faults"]
     (named,) = (each for each in told["verdicts"] if fault in each["faults"])
     assert named["remedy"]

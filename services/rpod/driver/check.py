@@ -1,8 +1,8 @@
-"""``rpod driver`` from its arguments to its exit code."""
+"""``rpod driver check`` from its arguments to its exit code."""
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from threading import Event
@@ -15,7 +15,6 @@ from rpod import __version__
 from rpod_driver.check import Level, Observer, Options, Verdict, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
-from rpod_driver.scaffold import ScaffoldError, scaffold
 from rpod_runtime import BusError, Node
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import Config, Name, check, load, read_document
@@ -23,7 +22,6 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.faults import ALL_FAULTS
 
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
 
@@ -139,36 +137,6 @@ def _show(verdicts: list[Verdict]) -> None:
         text = each.text + faults
         table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))
     Console(width=None if sys.stdout.isatty() else 160).print(table)
-
-
-def new_command(template: str, name: str, *, out: Path) -> int:
-    """Write a driver's package; return the exit code."""
-    try:
-        folder = scaffold(template, name, out)
-    except ScaffoldError as error:
-        return _refuse(error)
-    except OSError as error:
-        print(f"rpod driver new: {error}", file=sys.stderr)
-        return EXIT_FAILURE
-    print(
-        f"{folder}: next, pip install -e {folder} and python -m pytest {folder}; then read {folder}/README.md"
-    )
-    return EXIT_OK
-
-
-def faults_command(*, as_json: bool) -> int:
-    """Print the catalogue of faults."""
-    if as_json:
-        print(json.dumps([asdict(fault) for fault in ALL_FAULTS], indent=2))
-        return EXIT_OK
-    table = Table(box=None, pad_edge=False)
-    for column in ("fault", "of", "size", "line", "cause"):
-        table.add_column(column, overflow="fold")
-    for fault in ALL_FAULTS:
-        size = "" if fault.size is None else str(fault.size)
-        table.add_row(fault.name, fault.subject, size, fault.line, fault.cause)
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
-    return EXIT_OK
 
 
 def _refuse(error: object) -> int:

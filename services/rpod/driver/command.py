@@ -1,19 +1,25 @@
-"""``rpod driver list`` and ``rpod driver run`` from their arguments to their exit codes."""
+"""``rpod driver`` but for its check: from arguments to exit codes."""
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from threading import Event
 from typing import Any
+
+from rich.console import Console
+from rich.table import Table
 
 from rpod import __version__
 from rpod.reloading import run_reloading
 from rpod_driver import DriverError, host
 from rpod_driver.registered import Adapter, adapter, adapters
+from rpod_driver.scaffold import ScaffoldError, scaffold
 from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import SchemaError
+from rpod_schemas.faults import ALL_FAULTS
 
 
 def list_command(*, as_json: bool) -> int:
@@ -56,6 +62,37 @@ def run_command(name: str, file: Path, *, connect: str | None, wait: bool) -> in
         return _checked(found, file, {"connect": connect, "wait": wait})
 
     return run_reloading(config.instance, body, config, read)
+
+
+def new_command(template: str, name: str, *, out: Path) -> int:
+    """Write a driver's package; return the exit code."""
+    try:
+        folder = scaffold(template, name, out)
+    except ScaffoldError as error:
+        print(f"rpod: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except OSError as error:
+        print(f"rpod driver new: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    print(
+        f"{folder}: next, pip install -e {folder} and python -m pytest {folder}; then read {folder}/README.md"
+    )
+    return EXIT_OK
+
+
+def faults_command(*, as_json: bool) -> int:
+    """Print the catalogue of faults."""
+    if as_json:
+        print(json.dumps([asdict(fault) for fault in ALL_FAULTS], indent=2))
+        return EXIT_OK
+    table = Table(box=None, pad_edge=False)
+    for column in ("fault", "of", "size", "line", "cause"):
+        table.add_column(column, overflow="fold")
+    for fault in ALL_FAULTS:
+        size = "" if fault.size is None else str(fault.size)
+        table.add_row(fault.name, fault.subject, size, fault.line, fault.cause)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    return EXIT_OK
 
 
 def _checked(found: Adapter, file: Path, options: dict[str, Any]) -> DriverConfig:

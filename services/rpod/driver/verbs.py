@@ -93,7 +93,7 @@ def new(
     ] = Path(),
 ) -> None:
     """Write the package of a driver: driver, configuration, tests and systemd unit, which run at once."""
-    from rpod.driver.check import new_command
+    from rpod.driver.command import new_command
 
     raise typer.Exit(new_command(template, name, out=out))
 
@@ -103,6 +103,6 @@ def faults(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
 ) -> None:
     """List the faults that the check knows, and that scenarios and queries may ask for."""
-    from rpod.driver.check import faults_command
+    from rpod.driver.command import faults_command
 
     raise typer.Exit(faults_command(as_json=as_json))

@@ -19,12 +19,14 @@ def watch(node: Node, observer: Observer, *, duration_s: float, stop: Event) -> 
     inbox = Inbox(capacity=20_000)
     for topic in (*observer.latched, *observer.streams, *observer.others):
         node.subscribe(topic, inbox.put)
+    tokens: list[tuple[str, str]] = []
+    node.watch_publisher_qos(tokens.append)
     node.ready(f"watching {observer.seen.name} for {duration_s:g} s")
     end_s = time.monotonic() + duration_s
     while (left_s := end_s - time.monotonic()) > 0.0 and not stop.is_set():
         for received in inbox.wait(min(left_s, _POLL_S)):
             observer.take(received)
-    observer.take_tokens(node.publisher_qos())
+    observer.take_tokens(tuple(tokens))
     return observer.end(time.time_ns())
 
 

@@ -185,7 +185,8 @@ def mount(seen: Observations) -> Verdict:
 def qos(seen: Observations) -> Verdict:
     """Judge whether latched topics are latched, by the tokens of their publishers."""
     line = "qos"
-    latched = [TF_STATIC.name, f"{seen.name}/info"]
+    came = {TF_STATIC.name: seen.mounts, f"{seen.name}/info": seen.infos}
+    latched = list(came)
     parts = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source).values()
     own = {*latched, *(topic.name for topic in parts)} & seen.qos.keys()
     if not own - {TF_STATIC.name}:
@@ -194,6 +195,8 @@ def qos(seen: Observations) -> Verdict:
         for told in seen.qos.get(topic, ()):
             if told.split(":")[1:2] != ["1"]:
                 return fail(line, f"{topic} is not TRANSIENT_LOCAL", "not_latched")
+    if untold := [topic for topic in latched if came[topic] and topic not in own]:
+        return unchecked(line, f"no token of the publisher of {' and '.join(untold)} came; watch again")
     best_effort = [topic for topic in sorted(own) if any(each.startswith("2") for each in seen.qos[topic])]
     if best_effort:
         return note(line, f"{', '.join(best_effort)} is BEST_EFFORT: a slow link loses messages")

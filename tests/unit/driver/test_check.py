@@ -199,3 +199,12 @@ def test_recorded_frames_of_a_stereo_camera_are_in_order():
         if name != "radial_depth":
             assert failed(verdicts) == ({name} if name else set()), verdicts
     assert at(judge(watched("pmd", frames, None, latency_s=0.02)), "jitter").level is Level.UNCHECKED
+
+
+def test_latched_topics_without_a_token_of_their_publisher_are_not_said_to_be_in_order():
+    seen = watched("pmd", wall_frames(1, 3.0), INFO, latency_s=0.02, options=Options(rate_hz=10.0))
+    assert at(judge(seen), "qos").level is Level.OK
+    del seen.qos["tf_static"]
+    told = at(judge(seen), "qos")
+    assert told.level is Level.UNCHECKED
+    assert "tf_static" in told.text
