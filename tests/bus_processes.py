@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from threading import Event, Thread
 
 from rpod_runtime import Node
-from rpod_runtime.lifecycle import run
-from rpod_runtime.session import free_endpoint, open_router
+from rpod_runtime.bus.session import free_endpoint, open_router
+from rpod_runtime.process.lifecycle import run
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.messages import write_clock
 from rpod_schemas.topics import CLOCK

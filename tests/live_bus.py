@@ -10,7 +10,7 @@ from time import monotonic
 from typing import Any
 
 from rpod_runtime import Inbox, Node, Received
-from rpod_runtime.session import free_endpoint, open_router
+from rpod_runtime.bus.session import free_endpoint, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 
 TIMEOUT_S = 60.0

@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from rpod_logger.recorder import Recorder
 from rpod_runtime import Received
-from rpod_runtime.accounting import SequenceAccount
+from rpod_runtime.delivery.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.logs import COMPLETENESS, COUNTS, Completeness, TopicCount, check_completeness

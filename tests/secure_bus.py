@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from rpod_runtime import Node
-from rpod_runtime.session import free_endpoint, open_client, open_router
+from rpod_runtime.bus.session import free_endpoint, open_client, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.topics import Namespace
 from rpod_security.authority import Authority

@@ -7,7 +7,7 @@ from threading import Event
 from typing import Any, Self
 
 from rpod_runtime import Inbox, Node
-from rpod_runtime.session import open_router
+from rpod_runtime.bus.session import open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.topics import DEPTH, TRUTH
 

@@ -14,7 +14,7 @@ from typing import Self
 
 import zenoh
 
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
 from rpod_schemas.config.service import BusConfig
 
 _PING, _PONG = "echo/ping", "echo/pong"

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 
 T = TypeVar("T")
 

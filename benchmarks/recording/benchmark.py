@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 
 from rpod import __version__
 from rpod_runtime import Node, Publisher, QueryFailedError
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig

@@ -20,7 +20,7 @@ from rpod.logs.verbs import log_verbs
 from rpod.pki.verbs import pki_verbs
 from rpod.reloading import run_reloading
 from rpod.target.verbs import target_verbs
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 
@@ -130,7 +130,7 @@ def router(
     ] = None,
 ) -> None:
     """Run the bus: a Zenoh router that keeps the truth from the estimators."""
-    from rpod_runtime import router as daemon
+    from rpod_runtime.bus import router as daemon
     from rpod_schemas.config.service import RouterConfig
 
     def read() -> RouterConfig:

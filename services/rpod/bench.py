@@ -25,8 +25,8 @@ from rpod_logger.writer import LogFile, WriterSettings
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
 from rpod_runtime import Inbox, Node, Received
-from rpod_runtime.lifecycle import EXIT_OK
-from rpod_runtime.session import free_endpoint, open_router
+from rpod_runtime.bus.session import free_endpoint, open_router
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig

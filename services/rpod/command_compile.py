@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from rpod_analysis.target_check.trials import try_methods
-from rpod_runtime.lifecycle import EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_target import load_target
 

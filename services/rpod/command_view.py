@@ -11,8 +11,8 @@ from typing import Any
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
-from rpod_runtime.lifecycle import run as run_service
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import run as run_service
 from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.view import ViewConfig

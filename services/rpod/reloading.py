@@ -5,8 +5,8 @@ from threading import Event
 
 from pydantic import BaseModel
 
-from rpod_runtime import lifecycle
-from rpod_runtime.reloading import reloader
+from rpod_runtime.process import lifecycle
+from rpod_runtime.process.reloading import reloader
 
 
 def run_reloading(

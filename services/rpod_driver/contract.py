@@ -23,7 +23,7 @@ from rpod_driver.check import Level, Observations, Observer, Options, Verdict, j
 from rpod_driver.check.live import StraightNode
 from rpod_driver.ports import Adjustable, Counted, Drops, Synchronised
 from rpod_runtime import Node
-from rpod_runtime.awake import TickingClock
+from rpod_runtime.process.awake import TickingClock
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import SensorSync

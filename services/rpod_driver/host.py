@@ -12,10 +12,11 @@ from typing import Any
 from rpod_driver.commands import Commands
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
 from rpod_driver.ports import Counted, Driver, Synchronised
-from rpod_runtime import Node, lifecycle
-from rpod_runtime.notify import manager
+from rpod_runtime import Node
+from rpod_runtime.process import lifecycle
+from rpod_runtime.process.notify import manager
+from rpod_runtime.sensor_data.thinning import ThinnedCamera
 from rpod_runtime.sensors import open_publisher
-from rpod_runtime.thinning import ThinnedCamera
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import MessageRejectedError

@@ -19,7 +19,7 @@ from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig

@@ -14,8 +14,8 @@ from typing import Any, Self
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_runtime import Node
+from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.errors import RefusedError
-from rpod_runtime.publisher import Publisher
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError

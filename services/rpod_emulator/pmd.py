@@ -6,8 +6,8 @@ from functools import partial
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Node
+from rpod_runtime.sensor_data.thinning import ThinnedCamera
 from rpod_runtime.sensors import CameraPublisher
-from rpod_runtime.thinning import ThinnedCamera
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.pmd import PmdConfig

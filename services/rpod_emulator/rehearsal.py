@@ -9,7 +9,7 @@ from rpod_emulator.joints import MovingJoints
 from rpod_runtime import Node
 from rpod_runtime.clock import WallClock
 from rpod_runtime.health import HealthBook
-from rpod_runtime.reserve import RESERVE
+from rpod_runtime.process.reserve import RESERVE
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.topics import Topic
 from rpod_target import Target

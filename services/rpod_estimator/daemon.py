@@ -15,7 +15,7 @@ from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest

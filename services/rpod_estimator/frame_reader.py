@@ -15,10 +15,10 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.pmd.camera_check import CameraCheck
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
+from rpod_runtime.delivery.holders import Announcements, Peer
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.extrinsics import Extrinsics
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
-from rpod_runtime.holders import Announcements, Peer
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig

@@ -8,8 +8,8 @@ from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.input_book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
 from rpod_pose.navigation.first_pose.searches import RESTING, WAITS
 from rpod_runtime.assembler import GivenUp
+from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.health import HealthBook
-from rpod_runtime.holders import Peer
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Mode, SensorSync

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_runtime.extrinsics import apart, differ
+from rpod_runtime.sensor_data.extrinsics import apart, differ
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 _MAY_CHANGE = frozenset({"integration_time_s"})

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
 
 from rpod_runtime import Inbox, Node, Received
-from rpod_runtime.holders import Holders
+from rpod_runtime.delivery.holders import Holders
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.topics import Topic
 

@@ -16,10 +16,10 @@ from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.delivery.holders import Holders, SecondPublisherError
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
-from rpod_runtime.holders import Holders, SecondPublisherError
-from rpod_runtime.stamp_watch import StampWatch, clock_hint
+from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason

@@ -12,11 +12,11 @@ from rpod_logger.publisher_ends import PublisherEnds
 from rpod_logger.recorder import Recorder
 from rpod_logger.selection import Extras, patterns
 from rpod_runtime import Node, Received
-from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
-from rpod_runtime.lifecycle import Stop
-from rpod_runtime.notify import manager
+from rpod_runtime.process.awake import AwakeClock
+from rpod_runtime.process.lifecycle import Stop
+from rpod_runtime.process.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply

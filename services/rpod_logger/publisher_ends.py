@@ -15,8 +15,8 @@ from threading import Lock
 from typing import NamedTuple
 
 from rpod_runtime import Received
-from rpod_runtime.awake import AwakeTime
-from rpod_runtime.link import Link, Outage, utc
+from rpod_runtime.bus.link import Link, Outage, utc
+from rpod_runtime.process.awake import AwakeTime
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_diagnostics

@@ -21,9 +21,9 @@ from rpod_logger.publisher_ends import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log, signing_key
 from rpod_runtime import Received
-from rpod_runtime.accounting import SequenceAccount
+from rpod_runtime.delivery.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_runtime.reloading import reloader
+from rpod_runtime.process.reloading import reloader
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.errors import Reason

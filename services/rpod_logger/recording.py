@@ -11,7 +11,7 @@ from typing import Self
 from rpod_logger.publisher_ends import Endings
 from rpod_logger.writer import LogFile, channel_topic
 from rpod_runtime import Received
-from rpod_runtime.accounting import FARTHEST, Publication
+from rpod_runtime.delivery.accounting import FARTHEST, Publication
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import (
     BUS,

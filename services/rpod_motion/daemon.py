@@ -13,7 +13,7 @@ from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import MotionServiceConfig

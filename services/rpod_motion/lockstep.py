@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from rpod_motion.truth import TruthPublisher
 from rpod_runtime import Node, Received
 from rpod_runtime.errors import LockstepError, QueryFailedError
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status, write_clock

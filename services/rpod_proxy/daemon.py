@@ -8,7 +8,7 @@ from rpod_proxy.plan import Plan
 from rpod_proxy.relay import Address, Relay
 from rpod_runtime import Node
 from rpod_runtime.fault_book import FaultBook
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_schemas.config.proxy import ProxyConfig
 from rpod_schemas.control import Accepted, FaultRequest
 from rpod_schemas.errors import ConfigurationError

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rpod_runtime.clock import BusClock, Clock, WallClock
+    from rpod_runtime.delivery.inbox import Inbox, Received
+    from rpod_runtime.delivery.publisher import Publisher
     from rpod_runtime.errors import BusError, NoRouterError, QueryFailedError
-    from rpod_runtime.inbox import Inbox, Received
     from rpod_runtime.node import Node
-    from rpod_runtime.publisher import Publisher
 
 _MODULES = {
     "BusClock": "clock",
     "BusError": "errors",
     "Clock": "clock",
-    "Inbox": "inbox",
+    "Inbox": "delivery.inbox",
     "NoRouterError": "errors",
     "Node": "node",
-    "Publisher": "publisher",
+    "Publisher": "delivery.publisher",
     "QueryFailedError": "errors",
-    "Received": "inbox",
+    "Received": "delivery.inbox",
     "WallClock": "clock",
 }
 

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable
 from typing import Protocol
 
-from rpod_runtime.publisher import Publisher
+from rpod_runtime.delivery.publisher import Publisher
 from rpod_schemas.faults.injected import InjectedFault, write_faults
 from rpod_schemas.topics import FAULTS, Topic
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import ray_cosines
 from rpod_runtime.assembler import Assembled, Assembler
-from rpod_runtime.codecs import decompressed
-from rpod_runtime.inbox import Received
-from rpod_runtime.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
+from rpod_runtime.delivery.inbox import Received
+from rpod_runtime.sensor_data.codecs import decompressed
+from rpod_runtime.sensor_data.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (

@@ -18,23 +18,23 @@ import zenoh
 import zenoh.ext
 from pydantic import BaseModel
 
-from rpod_runtime.accounting import SequenceAccount
-from rpod_runtime.asker import Asker
+from rpod_runtime.bus.link import Link
+from rpod_runtime.bus.session import open_client
 from rpod_runtime.clock import BusClock, Clock, WallClock
-from rpod_runtime.control import Served
-from rpod_runtime.delivery import Delivery
+from rpod_runtime.delivery.accounting import SequenceAccount
+from rpod_runtime.delivery.inbox import Received
+from rpod_runtime.delivery.publisher import Publisher
+from rpod_runtime.delivery.receiving import Delivery
 from rpod_runtime.health import HealthBook
-from rpod_runtime.identity import open_identity
-from rpod_runtime.inbox import Received
-from rpod_runtime.link import Link
-from rpod_runtime.notify import manager
-from rpod_runtime.publisher import Publisher
-from rpod_runtime.reloading import describe, reloader
-from rpod_runtime.reserve import await_turn
+from rpod_runtime.process.notify import manager
+from rpod_runtime.process.reloading import describe, reloader
+from rpod_runtime.process.reserve import await_turn
+from rpod_runtime.requests.asker import Asker
+from rpod_runtime.requests.control import Served
+from rpod_runtime.requests.identity import open_identity
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters, flatten
-from rpod_runtime.session import open_client
 from rpod_schemas.config.migration import logged
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
@@ -56,8 +56,6 @@ _FLOW_PERIOD_S = 0.9
 """Least time over which the rate of what arrives is taken, s: less than between two heartbeats."""
 _LINGER_S = 0.3
 """Time that a node stays open after its last numbers, so that receivers can recover what they missed."""
-
-"""Longest wait for the router's answer; one without tokens would let a check report no publisher."""
 
 
 class Node(Asker):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.node import Node
-from rpod_runtime.publisher import Publisher
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
     write_camera,

@@ -9,7 +9,7 @@ import time
 from threading import Event
 
 from rpod_runtime import Inbox, Node
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH

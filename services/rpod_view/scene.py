@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler, NewestFrames
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.extrinsics import Extrinsics
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError

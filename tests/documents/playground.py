@@ -18,7 +18,7 @@ from typing import Any
 from blocks import Block
 from facility_process import Lines
 
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 
 ROOT = Path(__file__).parents[2]
 SHOWN_ADDRESS = "127.0.0.1:7447"

@@ -21,7 +21,7 @@ from fuzz.subjects import subjects
 from live_bus import first
 
 from rpod_runtime import Inbox, Node, Received
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.messages import read_status
 from rpod_schemas.topics import STATUS, Topic

@@ -18,10 +18,10 @@ from pydantic import BaseModel, ValidationError
 from rpod_estimator.frame_reader import FrameReader
 from rpod_logger.publisher_ends import PublisherEnds
 from rpod_runtime import Received
-from rpod_runtime.accounting import DuplicateError, JumpError, SequenceAccount
+from rpod_runtime.bus.link import Link
+from rpod_runtime.delivery.accounting import DuplicateError, JumpError, SequenceAccount
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.health import HealthBook
-from rpod_runtime.link import Link
 from rpod_schemas import control
 from rpod_schemas.cdr import decode, peek_stamp
 from rpod_schemas.config.base import load

@@ -9,7 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from rpod.__main__ import app
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_target import load_target
 
 GOOD = {

@@ -16,7 +16,7 @@ from logger_desk import completeness, metadata, read
 
 from rpod_logger.daemon import run
 from rpod_runtime import QueryFailedError
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig

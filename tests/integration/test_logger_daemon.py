@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from rpod_logger.daemon import run
 from rpod_runtime import Inbox, QueryFailedError
-from rpod_runtime.reloading import reloader
+from rpod_runtime.process.reloading import reloader
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.cdr import encode, type_hash
 from rpod_schemas.config.logger import LoggerConfig

@@ -11,7 +11,7 @@ import zenoh
 from live_bus import TIMEOUT_S, collect, first
 
 from rpod_runtime import Inbox, Node
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
 from rpod_schemas.cdr import encode
 from rpod_schemas.messages import (
     read_diagnostics,

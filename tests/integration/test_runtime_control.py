@@ -12,10 +12,10 @@ from facility_process import until
 from live_bus import TIMEOUT_S, collect, first, router
 
 from rpod_runtime import Inbox, NoRouterError, QueryFailedError
+from rpod_runtime.bus.session import free_endpoint, open_client, open_router
 from rpod_runtime.errors import EndpointError, LockstepError, RefusedError
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, run
 from rpod_runtime.node import Node
-from rpod_runtime.session import free_endpoint, open_client, open_router
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, run
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.control import (
     Accepted,
@@ -287,8 +287,8 @@ def test_nodes_find_a_router_that_was_restarted():
 @pytest.fixture
 def quiet(monkeypatch):
     """Keep the handlers of signals and logging as the tests need them."""
-    monkeypatch.setattr("rpod_runtime.lifecycle._heed_signals", lambda *_: None)
-    monkeypatch.setattr("rpod_runtime.lifecycle.configure_logging", lambda *_: None)
+    monkeypatch.setattr("rpod_runtime.process.lifecycle._heed_signals", lambda *_: None)
+    monkeypatch.setattr("rpod_runtime.process.lifecycle.configure_logging", lambda *_: None)
     monkeypatch.delenv("RPOD_SUPERVISED", raising=False)
 
 

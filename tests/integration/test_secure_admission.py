@@ -11,9 +11,9 @@ from live_bus import TIMEOUT_S
 from secure_bus import KEYS, SecureBus, secure_bus
 
 from rpod_runtime import Inbox, Node, QueryFailedError
+from rpod_runtime.bus.refusal import refusal_in
+from rpod_runtime.bus.session import free_endpoint, open_client, open_router
 from rpod_runtime.errors import NotThisServiceError, RefusedByRouterError
-from rpod_runtime.refusal import refusal_in
-from rpod_runtime.session import free_endpoint, open_client, open_router
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.messages import read_diagnostics

@@ -14,8 +14,8 @@ from live_bus import router as plain_router
 from secure_bus import SecureBus
 
 from rpod_runtime import Inbox
+from rpod_runtime.bus.session import open_client
 from rpod_runtime.errors import RefusedByRouterError
-from rpod_runtime.session import open_client
 from rpod_schemas.config.service import BusConfig
 from rpod_schemas.topics import TRUTH
 

@@ -13,7 +13,7 @@ from live_bus import TIMEOUT_S, first
 from secure_bus import KEYS, members
 
 from rpod_runtime import Inbox, Node, QueryFailedError
-from rpod_runtime.session import free_endpoint, open_client, open_router
+from rpod_runtime.bus.session import free_endpoint, open_client, open_router
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.control import Accepted, Empty
 from rpod_schemas.topics import ESTIMATE, STATUS, TF, TRUTH, TRUTH_TOPICS

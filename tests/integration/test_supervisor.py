@@ -9,7 +9,7 @@ from facility_process import until
 from rpod.errors import ServiceDiedError
 from rpod.play import supervisor
 from rpod.play.supervisor import Supervisor
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.config.service import RouterConfig
 
 ELSEWHERE = "tcp/192.0.2.1:7447"

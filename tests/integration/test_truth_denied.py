@@ -13,7 +13,7 @@ import zenoh.ext
 from live_bus import TIMEOUT_S, collect
 
 from rpod_runtime import Inbox
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.service import ESTIMATOR_ID, BusConfig
 from rpod_schemas.messages import write_joints, write_odometry, write_transforms, write_vector_stamped

@@ -9,7 +9,7 @@ from live_bus import Bus, collect, first
 from rpod.doctor import bus as doctor
 from rpod.doctor.finding import Level
 from rpod_runtime import Inbox
-from rpod_runtime.session import free_endpoint, open_router
+from rpod_runtime.bus.session import free_endpoint, open_router
 from rpod_schemas.config.service import ESTIMATOR_ID, BusConfig, RouterConfig
 from rpod_schemas.messages import write_odometry
 from rpod_schemas.poses import make_pose

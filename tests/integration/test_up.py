@@ -15,7 +15,7 @@ from facility_process import DEADLINE_S, Lines, until
 from live_bus import Bus, first
 
 from rpod_runtime import Inbox
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.messages import read_status
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode

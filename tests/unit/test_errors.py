@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rpod_runtime.accounting import Jump
-from rpod_runtime.holders import Peer
+from rpod_runtime.delivery.accounting import Jump
+from rpod_runtime.delivery.holders import Peer
 from rpod_schemas.errors import MessageRejectedError, Reason, RpodError
 
 ROOT = Path(__file__).parents[2]

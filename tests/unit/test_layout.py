@@ -13,7 +13,7 @@ COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 
 CROWDED = 15
 """Most modules of a folder in which a reader still finds a file."""
-BUSY = {"rpod_pose", "rpod_campaign", "rpod_analysis", "rpod"}
+BUSY = {"rpod_pose", "rpod_campaign", "rpod_analysis", "rpod_runtime", "rpod"}
 ROOMS = sorted({file.parent for file in SOURCES if BUSY & set(file.relative_to(ROOT).parts)})
 NO_CODE = {"rpod_msgs"}
 """Definitions of messages, which import nothing."""

@@ -8,9 +8,9 @@ import pytest
 from pydantic import ValidationError
 
 from rpod.up.reserve import AFTER_S, PAUSE_S, Reserve
-from rpod_runtime import reserve as waiting
 from rpod_runtime.errors import NotNeededError
-from rpod_runtime.notify import manager
+from rpod_runtime.process import reserve as waiting
+from rpod_runtime.process.notify import manager
 from rpod_schemas.config.facility import FacilityService
 
 READER = "import sys; sys.exit(7 if sys.stdin.read(1) else 0)"

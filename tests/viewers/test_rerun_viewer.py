@@ -15,7 +15,7 @@ from facility_process import until
 from machine import rerun_program
 
 from rpod_analysis import open_log
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.topics import AMPLITUDE, CHASER, DEPTH, ESTIMATE, TARGET, TARGET_ESTIMATE, optical_frame
 
 pytestmark = pytest.mark.needs("rerun", "rerun_viewer")

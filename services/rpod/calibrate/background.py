@@ -11,7 +11,7 @@ from rpod.calibrate.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.background import learned_backgrounds
 from rpod_pose.surroundings.known import KnownSurroundingsError
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 
 
 def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:

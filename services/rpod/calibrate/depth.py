@@ -14,7 +14,7 @@ from rpod.calibrate.unreadable import tell_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import collect
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
 from rpod_schemas.config.depth_calibration import DepthCalibration
 from rpod_schemas.errors import ConfigurationError

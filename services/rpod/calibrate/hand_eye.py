@@ -23,7 +23,7 @@ from rpod_analysis.calibration.hand_eye.results import (
     warnings_of,
 )
 from rpod_analysis.errors import CalibrationError
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import ConfigurationError

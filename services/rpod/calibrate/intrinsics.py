@@ -16,7 +16,7 @@ from rpod_analysis.calibration.intrinsics import (
     images_in,
     images_of,
 )
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 
 
 def camera_command(

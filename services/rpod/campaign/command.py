@@ -27,7 +27,7 @@ from rpod_campaign.engine.executor.pool import ProcessPool, cores
 from rpod_campaign.engine.report.models import models_section
 from rpod_campaign.engine.report.page import write_page
 from rpod_campaign.engine.run import prepare, run_campaign
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError

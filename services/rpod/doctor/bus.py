@@ -10,10 +10,10 @@ import zenoh
 
 from rpod import __version__
 from rpod.doctor.finding import CAMERA_FRAME_BYTES, CAMERA_HZ, Finding, Level
-from rpod_runtime.asker import Asker
-from rpod_runtime.awake import AwakeClock
-from rpod_runtime.identity import open_identity
-from rpod_runtime.session import open_client
+from rpod_runtime.bus.session import open_client
+from rpod_runtime.process.awake import AwakeClock
+from rpod_runtime.requests.asker import Asker
+from rpod_runtime.requests.identity import open_identity
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import StatusReply
 

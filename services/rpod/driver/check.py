@@ -16,7 +16,7 @@ from rpod_driver.check import Level, Observer, Options, Verdict, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
 from rpod_runtime import BusError, Node
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import Config, Name, check, load, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig

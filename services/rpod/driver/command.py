@@ -15,7 +15,7 @@ from rpod.reloading import run_reloading
 from rpod_driver import DriverError, host
 from rpod_driver.registered import Adapter, adapter, adapters
 from rpod_driver.scaffold import ScaffoldError, scaffold
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import SchemaError

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from rpod_analysis import AnalysisError
 from rpod_analysis.recovery import recover
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.logs import Recovery
 
 

@@ -18,8 +18,8 @@ from rpod_analysis.replay import Playback, Played, compare, configured_estimator
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
 from rpod_runtime import Node
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
-from rpod_runtime.lifecycle import run as run_service
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import run as run_service
 from rpod_schemas.config.base import check, load
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig

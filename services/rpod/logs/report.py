@@ -9,7 +9,7 @@ from rich.console import Console
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
 from rpod_analysis.report import group_parts, write_comparison, write_report
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.summary import Comparison, Summary
 
 

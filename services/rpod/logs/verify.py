@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_security.errors import ChainError
 from rpod_security.log_verification import Verdict, verify
 

@@ -15,7 +15,7 @@ from rpod.scenarios import find
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
 from rpod_runtime import BusError
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError

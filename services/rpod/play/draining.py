@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 
 from rpod_runtime import Node, QueryFailedError
-from rpod_runtime.awake import AwakeClock
+from rpod_runtime.process.awake import AwakeClock
 from rpod_schemas.control import StatusReply
 from rpod_schemas.types import PUBLISHED
 

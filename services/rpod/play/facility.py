@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from rpod_runtime.session import free_endpoint
+from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
 from rpod_schemas.config.logger import LoggerConfig

@@ -16,9 +16,9 @@ from threading import Event, Lock, Thread
 
 from rpod.play.supervisor import Supervisor
 from rpod_runtime import Node, QueryFailedError
-from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
+from rpod_runtime.process.awake import AwakeClock
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StartRequest, StatusReply
 from rpod_schemas.faults import AskedFault

@@ -19,7 +19,7 @@ from rpod.play.fault_player import FaultPlayer
 from rpod.play.progress import Progress
 from rpod.play.supervisor import Supervisor
 from rpod_runtime import Node, NoRouterError, QueryFailedError
-from rpod_runtime.awake import AwakeClock
+from rpod_runtime.process.awake import AwakeClock
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS

@@ -18,8 +18,8 @@ from typing import Self
 from pydantic import BaseModel
 
 from rpod.errors import ServiceDiedError
-from rpod_runtime.lifecycle import SUPERVISED
-from rpod_runtime.processes import end_process
+from rpod_runtime.process.lifecycle import SUPERVISED
+from rpod_runtime.process.processes import end_process
 
 log = logging.getLogger(__name__)
 

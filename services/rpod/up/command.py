@@ -12,7 +12,7 @@ from rich.table import Table
 
 from rpod.errors import RunError
 from rpod.up.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
-from rpod_runtime.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.errors import ConfigurationError
 
 if TYPE_CHECKING:

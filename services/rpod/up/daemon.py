@@ -16,11 +16,11 @@ from typing import Literal
 
 from rpod.up.reserve import Reserve
 from rpod.up.resolved import ResolvedService
-from rpod_runtime.awake import AwakeClock
-from rpod_runtime.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
-from rpod_runtime.notify import IN_RESERVE
-from rpod_runtime.processes import end_process
-from rpod_runtime.reserve import RESERVE
+from rpod_runtime.process.awake import AwakeClock
+from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
+from rpod_runtime.process.notify import IN_RESERVE
+from rpod_runtime.process.processes import end_process
+from rpod_runtime.process.reserve import RESERVE
 from rpod_schemas.config.facility import BackoffConfig
 
 log = logging.getLogger(__name__)

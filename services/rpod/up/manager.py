@@ -13,7 +13,7 @@ from rpod.up.daemon import Daemon, DaemonState
 from rpod.up.host_state import STOP_TIMEOUT_S, DaemonStatus, FacilityStatus, held, write_status
 from rpod.up.reserve import ReserveState
 from rpod.up.resolved import ResolvedFacility, resolve_facility
-from rpod_runtime.awake import AwakeClock
+from rpod_runtime.process.awake import AwakeClock
 from rpod_schemas.errors import ConfigurationError
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
-from rpod_runtime.processes import end_process
+from rpod_runtime.process.processes import end_process
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.sensors import as_received
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.holders import SILENT_S, Holders, SecondPublisherError
+from rpod_runtime.delivery.holders import SILENT_S, Holders, SecondPublisherError
 from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.logs import PUBLISHERS
 

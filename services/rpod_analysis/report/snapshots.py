@@ -18,7 +18,7 @@ from rpod_analysis.scoring.run import Run, StreamedRun
 from rpod_analysis.scoring.score import Track, interpolate
 from rpod_geometry.rays import RayGrid
 from rpod_geometry.wireframe import project, visible_pieces
-from rpod_runtime.scan_grid import ahead
+from rpod_runtime.sensor_data.scan_grid import ahead
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.messages import read_image, read_stamp
 from rpod_schemas.topics import CONTRADICTION

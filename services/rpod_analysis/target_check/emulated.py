@@ -15,8 +15,8 @@ from rpod_pose.methods import kind_methods
 from rpod_runtime import Node
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.clock import WallClock
+from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.frames import SensorReader, open_reader
-from rpod_runtime.inbox import Received
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.emulator import EmulatorConfig

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Kept, Observations, middle_m
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
-from rpod_runtime.scan_grid import angles_of
+from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
 from rpod_schemas.types import PmdFrame, PmdInfo
 

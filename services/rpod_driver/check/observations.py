@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rpod_driver.check.surface import Surface
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, GivenUp
-from rpod_runtime.extrinsics import Extrinsics
+from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.frames import assembler_of, open_reader
-from rpod_runtime.holders import Peer
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.scan_grid import angles_of, rows_are_elevation
+from rpod_runtime.sensor_data.scan_grid import angles_of, rows_are_elevation
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC
 from rpod_schemas.types import LidarInfo, LidarScan

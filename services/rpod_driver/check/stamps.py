@@ -7,7 +7,7 @@ import numpy as np
 from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
-from rpod_runtime.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
+from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.messages import NANOSECONDS
 

@@ -18,7 +18,7 @@ from rpod_driver.errors import ForeignDriverError
 from rpod_driver.foreign import frame_pipe
 from rpod_driver.foreign.config import ForeignEnvironment
 from rpod_driver.stamps import StampMapper
-from rpod_runtime.processes import end_process
+from rpod_runtime.process.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 

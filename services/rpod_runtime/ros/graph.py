@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import zenoh
 
-from rpod_runtime.publisher import Publisher
+from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.ros.parameter_services import ParameterServices
 from rpod_runtime.ros.parameters import Assignment, Parameters
 from rpod_runtime.ros.rosout import RosoutHandler

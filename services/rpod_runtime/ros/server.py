@@ -12,7 +12,7 @@ from typing import Any
 
 import zenoh
 
-from rpod_runtime.replies import error_reply
+from rpod_runtime.requests.replies import error_reply
 from rpod_schemas.cdr import decode, encode
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import Namespace, Service

@@ -8,7 +8,7 @@ from rpod_estimator.input_book import Loss, SensorBook, unpaired
 from rpod_estimator.input_health import InputHealth
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
-from rpod_runtime.stamp_watch import clock_hint
+from rpod_runtime.sensor_data.stamp_watch import clock_hint
 from rpod_schemas.types import Health, Mode
 
 LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")

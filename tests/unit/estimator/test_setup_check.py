@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rpod_estimator.setup_check import Setup, SetupCheck
+from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.extrinsics import Extrinsics
-from rpod_runtime.holders import Peer
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER

@@ -8,10 +8,10 @@ import pytest
 
 from rpod_estimator.subscriptions import Subscriptions
 from rpod_runtime import BusClock, Received, WallClock
+from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
-from rpod_runtime.holders import Peer
-from rpod_runtime.stamp_watch import StampWatch
+from rpod_runtime.sensor_data.stamp_watch import StampWatch
 from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest

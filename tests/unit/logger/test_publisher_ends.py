@@ -6,8 +6,8 @@ import pytest
 
 from rpod_logger.publisher_ends import GRACE_S, RETURN_S, PublisherEnds
 from rpod_runtime import Received
+from rpod_runtime.bus.link import Link
 from rpod_runtime.health import HealthBook
-from rpod_runtime.link import Link
 from rpod_schemas.cdr import encode
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import write_diagnostics

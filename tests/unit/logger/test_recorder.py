@@ -15,7 +15,7 @@ from logger_desk import Desk, completeness, counts, metadata, read
 from rpod_logger import recorder, recording
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
 from rpod_logger.writer import LogFile
-from rpod_runtime.accounting import DuplicateError, JumpError
+from rpod_runtime.delivery.accounting import DuplicateError, JumpError
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import Reason
 from rpod_schemas.logs import PUBLISHERS, Completeness, Numbers, TopicCount

@@ -1,4 +1,4 @@
-from rpod_runtime.session import truth_rules
+from rpod_runtime.bus.session import truth_rules
 from rpod_schemas.config.service import RouterConfig
 from rpod_schemas.topics import REFERENCE, TF, TRUTH
 

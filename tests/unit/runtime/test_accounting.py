@@ -2,7 +2,7 @@ from contextlib import suppress
 
 import pytest
 
-from rpod_runtime.accounting import (
+from rpod_runtime.delivery.accounting import (
     FARTHEST,
     MOST_KEYS,
     MOST_PUBLICATIONS,

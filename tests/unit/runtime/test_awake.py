@@ -3,8 +3,8 @@
 import subprocess
 import sys
 
-from rpod_runtime.awake import AwakeClock
-from rpod_runtime.processes import await_end, end_process
+from rpod_runtime.process.awake import AwakeClock
+from rpod_runtime.process.processes import await_end, end_process
 
 
 def test_time_in_which_the_process_stood_still_counts_as_one_turn():

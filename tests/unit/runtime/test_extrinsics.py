@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.extrinsics import Extrinsics
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.poses import make_pose
 
 T_CHASER_PLATE = make_pose(

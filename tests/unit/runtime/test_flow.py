@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rpod_runtime.codecs import decompressed
-from rpod_runtime.flow import Flow
+from rpod_runtime.delivery.flow import Flow
 from rpod_runtime.health import HealthBook
-from rpod_runtime.thinning import Pace, ThinnedCamera
+from rpod_runtime.sensor_data.codecs import decompressed
+from rpod_runtime.sensor_data.thinning import Pace, ThinnedCamera
 from rpod_schemas.cdr import decode, encode
 from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.messages import read_camera, read_image, read_stamp

@@ -4,7 +4,7 @@ import secrets
 
 import pytest
 
-from rpod_runtime.holders import (
+from rpod_runtime.delivery.holders import (
     MOST_NAMES,
     MOST_PEERS,
     Announcements,

@@ -1,7 +1,7 @@
 import time
 
+from rpod_runtime.delivery.inbox import Inbox, Received
 from rpod_runtime.health import MOST_NAMES, HealthBook
-from rpod_runtime.inbox import Inbox, Received
 from rpod_schemas.errors import Reason
 from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Health

@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from rpod_runtime.lifecycle import SUPERVISED
+from rpod_runtime.process.lifecycle import SUPERVISED
 
 TIMEOUT_S = 30.0
 BODY = """
 import signal, sys
 from threading import Event
-from rpod_runtime import lifecycle
+from rpod_runtime.process import lifecycle
 from rpod_runtime.errors import EndpointError
 from rpod_schemas.errors import ConfigurationError
 

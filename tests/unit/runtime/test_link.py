@@ -1,7 +1,7 @@
 import logging
 
+from rpod_runtime.bus.link import MOST_OUTAGES, Link, Outage
 from rpod_runtime.health import HealthBook
-from rpod_runtime.link import MOST_OUTAGES, Link, Outage
 
 NS = 10**9
 

@@ -7,7 +7,7 @@ from threading import Event, Thread
 import pytest
 from live_bus import TIMEOUT_S
 
-from rpod_runtime.notify import ServiceManager
+from rpod_runtime.process.notify import ServiceManager
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.codecs import decompressed
 from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, saturated_pixels
+from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_schemas.cdr import encode, message_class
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from rpod_runtime.errors import RefusedError
-from rpod_runtime.reloading import Reloader, describe
+from rpod_runtime.process.reloading import Reloader, describe
 from rpod_schemas.config.base import live_fields
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rpod_runtime.scan_grid import GridInference, rows_are_elevation
+from rpod_runtime.sensor_data.scan_grid import GridInference, rows_are_elevation
 
 AZIMUTH = np.radians(np.arange(-20.0, 20.5))
 ELEVATION = np.radians(np.arange(-15.0, 15.5))

@@ -8,8 +8,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rpod_runtime.codecs import decompressed
-from rpod_runtime.shuffled import CODEC, compressed, expanded
+from rpod_runtime.sensor_data.codecs import decompressed
+from rpod_runtime.sensor_data.shuffled import CODEC, compressed, expanded
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_image, write_compressed
 

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from rpod_runtime import starts
-from rpod_runtime.starts import next_start
+from rpod_runtime.bus import starts
+from rpod_runtime.bus.starts import next_start
 
 
 @pytest.fixture(autouse=True)

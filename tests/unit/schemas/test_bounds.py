@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.extrinsics import Extrinsics
+from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas import messages
 from rpod_schemas.bounds import BOUNDS, MODULATION_FREQUENCY_HZ, SCAN_DIRECTIONS, Bound
 from rpod_schemas.cdr import decode, encode

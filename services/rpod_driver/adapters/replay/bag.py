@@ -10,8 +10,8 @@ from rosbags.rosbag2 import Reader, ReaderError
 
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.errors import RecordingError
+from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.frames import PartRejectedError, assembler_of, open_reader
-from rpod_runtime.inbox import Received
 from rpod_schemas.cdr import decode, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.sensors import sensor_kind

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_runtime.shuffled import CODEC, expanded
+from rpod_runtime.sensor_data.shuffled import CODEC, expanded
 from rpod_schemas.bounds import IMAGE_PIXELS, IMAGE_SIDE
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_stamp, write_image

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from threading import Condition
 from typing import Any
 
-from rpod_runtime.holders import Peer
+from rpod_runtime.delivery.holders import Peer
 from rpod_schemas.cdr import decode
 from rpod_schemas.topics import Topic
 from rpod_schemas.wire import Attachment

@@ -10,7 +10,7 @@ import os
 from threading import Event
 
 from rpod_runtime.errors import NotNeededError
-from rpod_runtime.notify import manager
+from rpod_runtime.process.notify import manager
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import zenoh
 from pydantic import BaseModel
 
 from rpod_runtime.health import HealthBook
-from rpod_runtime.identity import Identity
-from rpod_runtime.replies import error_reply
+from rpod_runtime.requests.identity import Identity
+from rpod_runtime.requests.replies import error_reply
 from rpod_schemas.topics import Namespace
 from rpod_security.errors import AuditError
 

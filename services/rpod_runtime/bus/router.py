@@ -6,10 +6,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 
-from rpod_runtime.notify import manager
-from rpod_runtime.refusal import telling_refusals
-from rpod_runtime.reserve import await_turn
-from rpod_runtime.session import open_router
+from rpod_runtime.bus.refusal import telling_refusals
+from rpod_runtime.bus.session import open_router
+from rpod_runtime.process.notify import manager
+from rpod_runtime.process.reserve import await_turn
 from rpod_schemas.config.service import RouterConfig
 
 log = logging.getLogger(__name__)

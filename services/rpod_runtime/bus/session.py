@@ -13,9 +13,9 @@ from typing import Any
 
 import zenoh
 
+from rpod_runtime.bus.refusal import why_refused
+from rpod_runtime.bus.starts import next_start
 from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
-from rpod_runtime.refusal import why_refused
-from rpod_runtime.starts import next_start
 from rpod_schemas.config.link import LinkConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
@@ -150,7 +150,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
 def _identity(zenoh_id: str, start: int) -> str:
     """Return the identity of one start of a client.
 
-    Receivers would not hear a restarted client with the same identity (``rpod_runtime.starts``).
+    Receivers would not hear a restarted client with the same identity (``rpod_runtime.bus.starts``).
     """
     return f"{zenoh_id[:_LONGEST_ID]}{start % _STARTS:03x}"
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import zenoh
 import zenoh.ext
 
-from rpod_runtime.accounting import (
+from rpod_runtime.delivery.accounting import (
     MOST_KEYS,
     MOST_PUBLICATIONS,
     JumpError,
@@ -16,9 +16,9 @@ from rpod_runtime.accounting import (
     SequenceAccount,
     TooManyKeysError,
 )
-from rpod_runtime.flow import Flow
+from rpod_runtime.delivery.flow import Flow
+from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.health import HealthBook
-from rpod_runtime.inbox import Received
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.topics import Namespace, Topic
 from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment

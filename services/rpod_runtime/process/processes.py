@@ -4,7 +4,7 @@ import subprocess
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rpod_runtime.awake import AwakeClock
+from rpod_runtime.process.awake import AwakeClock
 
 _TURN_S = 0.25
 

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_runtime.delivery.holders import UNKNOWN_PEER, Announcements, Peer
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.holders import UNKNOWN_PEER, Announcements, Peer
 from rpod_schemas.bounds import MOUNT_M
 from rpod_schemas.poses import chained, rotation_of
 from rpod_schemas.topics import CHASER

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.node import Node
-from rpod_runtime.publisher import Publisher
-from rpod_runtime.shuffled import compressed
+from rpod_runtime.sensor_data.shuffled import compressed
 from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.messages import NANOSECONDS, write_camera, write_image
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, Topic, optical_frame

@@ -8,10 +8,10 @@ from typing import TypeVar
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from rpod_runtime.awake import AwakeClock
 from rpod_runtime.errors import QueryFailedError
-from rpod_runtime.identity import Identity
-from rpod_runtime.replies import error_text
+from rpod_runtime.process.awake import AwakeClock
+from rpod_runtime.requests.identity import Identity
+from rpod_runtime.requests.replies import error_text
 from rpod_schemas.control import Empty
 from rpod_schemas.topics import Namespace
 

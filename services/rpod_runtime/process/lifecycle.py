@@ -11,9 +11,9 @@ import sys
 import threading
 from collections.abc import Callable
 
-from rpod_runtime import reserve
 from rpod_runtime.errors import BusError, NoRouterError, NotNeededError
-from rpod_runtime.notify import manager
+from rpod_runtime.process import reserve
+from rpod_runtime.process.notify import manager
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.errors import SecurityError
 
