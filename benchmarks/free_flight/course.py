@@ -153,7 +153,7 @@ class _Feed:
             at_s = self._next / self._imu.rate_hz
             if at_s > time_s:
                 break
-            self._dynamics.imu.hear(self._imu.reading(_stamp(at_s), at_s))
+            self._dynamics.imu.take(self._imu.reading(_stamp(at_s), at_s))
             self._next += 1
 
 

@@ -143,7 +143,7 @@ class Host:
         age_s = time.monotonic() - self._heard_s
         self._node.health.measure("last_frame_age_s", age_s)
         self._node.health.measure("rate_hz", self._rate_hz())
-        self._tell_state()
+        self._report_state()
         if self._trouble:
             return Health.ERROR, self._trouble
         if self.finished:
@@ -154,7 +154,7 @@ class Host:
             return Health.WARN, "no frame yet"
         return Health.OK, f"{self._rate_hz():.1f} Hz, last frame {age_s:.2f} s ago"
 
-    def _tell_state(self) -> None:
+    def _report_state(self) -> None:
         """Tell what the driver knows of its sensor's time and of lost frames."""
         name, missed = self._config.name, self._commands.trigger_missed
         sync = self._driver.sync() if isinstance(self._driver, Synchronised) else SensorSync()

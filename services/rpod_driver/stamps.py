@@ -66,7 +66,7 @@ class StampMapper:
         now_ns = self._now_ns()
         source = self._source(device_ns, now_ns)
         if source != self.source:
-            self._tell(source, device_ns)
+            self._log_source(source, device_ns)
         self.source = source
         if source == "device" and device_ns is not None:
             return device_ns
@@ -94,7 +94,7 @@ class StampMapper:
             self._offsets.popleft()
         return device_ns + self._offsets[0][1]
 
-    def _tell(self, source: StampSource, device_ns: int | None) -> None:
+    def _log_source(self, source: StampSource, device_ns: int | None) -> None:
         if source == "device":
             log.info("%s: stamps are the device's", self._sensor)
         elif source == "mapped":

@@ -62,7 +62,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
             for channel, frame in emulator.due():
                 emulator.make(channel, frame)
             emulator.publish_made()
-            emulator.tell_faults()
+            emulator.publish_faults()
             for outlet in outlets:
                 outlet.refresh()
 
@@ -257,10 +257,10 @@ class Emulator:
         """Return the newest sun up to a stamp, or the oldest one if all are newer."""
         return next((sun for sun_ns, sun in reversed(self._suns) if sun_ns <= stamp_ns), self._suns[0][1])
 
-    def tell_faults(self) -> None:
+    def publish_faults(self) -> None:
         """Publish which faults have begun."""
         if self._epoch_ns is not None:
-            self._fault_book.tell(self._faults.begun(self._truth.last_ns, self._epoch_ns))
+            self._fault_book.publish(self._faults.begun(self._truth.last_ns, self._epoch_ns))
 
     def publish_made(self) -> None:
         """Publish the frames that a real sensor would have ready by now; in lockstep all of them."""

@@ -40,7 +40,7 @@ class BodyInput(StampedInput[FrameTrack]):
     def use(self, track: FrameTrack, received: Received) -> bool:
         """Use the pose of a body; return whether it is newer than all before."""
         reading = checked(read_odometry(received.decode()))
-        return track.hear(reading.stamp_ns, reading.pose)
+        return track.take(reading.stamp_ns, reading.pose)
 
     def is_known(self, track: FrameTrack, stamp_ns: int) -> bool:
         """Return whether the pose of a body at a stamp is known."""

@@ -65,7 +65,7 @@ def _serve(
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
                     for heard in inputs:
-                        heard.hear_up_to(arrived.stamp_ns)
+                        heard.take_until(arrived.stamp_ns)
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
@@ -75,7 +75,7 @@ def _serve(
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
                 for heard in inputs:
-                    heard.hear_up_to(arrived.stamp_ns)
+                    heard.take_until(arrived.stamp_ns)
                 service.process(arrived)
             bodies.update()
 

@@ -63,7 +63,7 @@ class Estimator:
         self._known: dict[str, KnownParts] = {}
         self.bodies = self._known_bodies()
         """Known bodies beside the target, whose poses a receiver adds; None for none."""
-        self._tell_unreliable_parts()
+        self._log_unreliable_parts()
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
         if self._dynamics.assumption:
@@ -136,7 +136,7 @@ class Estimator:
         if known is not None:
             self._known[sensor.name] = known
 
-    def _tell_unreliable_parts(self) -> None:
+    def _log_unreliable_parts(self) -> None:
         reliable = self._target.reliable
         if reliable is None:
             return

@@ -35,7 +35,7 @@ class ImuInput(StampedInput[ImuTrack]):
 
     def use(self, track: ImuTrack, received: Received) -> bool:
         """Use a reading of the IMU; return whether it is newer than all before."""
-        return track.hear(checked(read_imu(received.decode()), self._config))
+        return track.take(checked(read_imu(received.decode()), self._config))
 
 
 def checked(reading: ImuReading, config: DynamicsConfig) -> ImuReading:

@@ -74,7 +74,7 @@ class SensorBook:
         self._since_s = now_s
         self._others_s = -WINDOW_S
 
-    def hear(self, now_s: float) -> None:
+    def note_arrival(self, now_s: float) -> None:
         """Note that the leading part of a frame came."""
         if self._heard_s is None or now_s - self._heard_s > self._silent_after_s:
             self._since_s = now_s
@@ -94,7 +94,7 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
-    def hear_others(self, now_s: float) -> None:
+    def take_others(self, now_s: float) -> None:
         """Note that parts of a frame came without the leading one."""
         self._others_s = now_s
 

@@ -65,13 +65,13 @@ class InputHealth:
         if leading in frame.parts:
             book.lose(unpaired(frame, leading), now_s)
         else:
-            book.hear_others(now_s)
+            book.take_others(now_s)
 
     def rest(self, pause_s: float) -> None:
         """Note how long searches rest."""
         self._pause_s = pause_s
 
-    def hear(self, diagnostic: Diagnostic) -> None:
+    def take_diagnostic(self, diagnostic: Diagnostic) -> None:
         """Repeat what a driver says of how a sensor keeps time. Raises ``MessageRejectedError``."""
         for sensor, book in self.books.items():
             try:

@@ -72,24 +72,24 @@ class SearchProcess:
     @property
     def is_ready(self) -> bool:
         """Whether its methods are warmed up."""
-        self._hear()
+        self._receive()
         return self._is_ready
 
     def begin(self, search: Search, setup: Any) -> None:
         """Search a frame, as soon as the process can; the search before must have ended or be cancelled."""
         self._next = packed((search.sent, setup))
-        self._hear()
+        self._receive()
 
     def result(self) -> Found | None:
         """Return the result of the search that was begun last; None while it runs."""
-        return self._hear()
+        return self._receive()
 
     def cancel(self) -> None:
         """Drop the result of the search that was begun last."""
         self._next = None
         if self._is_busy and self._unwanted_s is None:
             self._unwanted_s = self._now_s()
-        self._hear()
+        self._receive()
 
     def end(self) -> None:
         """End the process at once."""
@@ -97,7 +97,7 @@ class SearchProcess:
         self._process.join()
         self._connection.close()
 
-    def _hear(self) -> Found | None:
+    def _receive(self) -> Found | None:
         """Take what the process says, and give it the next search if it is free."""
         if self._again_s is not None:
             if self._now_s() < self._again_s:

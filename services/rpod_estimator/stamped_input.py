@@ -65,7 +65,7 @@ class StampedInput(ABC, Generic[TrackT]):
         """Return whether the readings suffice for a stamp."""
         return track.covers(stamp_ns)
 
-    def hear_up_to(self, stamp_ns: int) -> None:
+    def take_until(self, stamp_ns: int) -> None:
         """Take in what has arrived; wait a little for readings up to a frame's stamp.
 
         After a wait in vain no other frame waits, until readings are there again.
@@ -78,7 +78,9 @@ class StampedInput(ABC, Generic[TrackT]):
             (left_s := ends_s - time.monotonic()) > 0.0
         ):
             self._take(self._inbox.wait(left_s))
-        self._tell(tuple(name for name, track in self._tracks.items() if not self.is_known(track, stamp_ns)))
+        self._report_missing(
+            tuple(name for name, track in self._tracks.items() if not self.is_known(track, stamp_ns))
+        )
 
     def _take(self, messages: list[Received]) -> None:
         for received in messages:
@@ -92,7 +94,7 @@ class StampedInput(ABC, Generic[TrackT]):
                 self._node.reject(name, error)
         self._node.health.put(f"overflowed/{self.name}", self._inbox.overflowed)
 
-    def _tell(self, missing: tuple[str, ...]) -> None:
+    def _report_missing(self, missing: tuple[str, ...]) -> None:
         """Tell when readings begin to be missing, and when they are there again."""
         if missing:
             self._node.health.count(f"{self.name}/{self.lack}")

@@ -141,7 +141,7 @@ class Subscriptions:
         elif received.topic.name == DIAGNOSTICS.name:
             for diagnostic in read_diagnostics(received.decode()):
                 if diagnostic.name != self._config.instance:  # which repeats what drivers say
-                    self.health.hear(diagnostic)
+                    self.health.take_diagnostic(diagnostic)
         else:
             self._reader.learn(received)
 
@@ -163,14 +163,14 @@ class Subscriptions:
                 )
         except MessageRejectedError as error:
             if leads:
-                self.health.books[sensor].hear(received.arrival_s)
+                self.health.books[sensor].note_arrival(received.arrival_s)
                 refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
                 self._refused.append(refused)
                 assembler.refuse(stamp_ns)
             raise
         self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:
-            self.health.books[sensor].hear(received.arrival_s)
+            self.health.books[sensor].note_arrival(received.arrival_s)
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)

@@ -55,7 +55,7 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
         node.ready(doing)
         while not stop.wait(_TICK_S):
             manager.alive()
-            recorder.tell_losses()
+            recorder.log_losses()
             services.ask_new()
             ends.judge(time.monotonic())
         services.conclude()
@@ -98,7 +98,7 @@ class Services:
 
     def notice(self, received: Received) -> None:
         """Look at a message: for the first heartbeat of a service, and for the last numbers of publishers."""
-        self._ends.hear(received)
+        self._ends.receive(received)
         if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
             self._hearts[received.attachment.gid] = None
             if len(self._hearts) > _MOST_HEARTS:
@@ -160,7 +160,7 @@ def _serve(node: Node, recorder: Recorder, services: Services) -> None:
         begin_ns = time.time_ns()
         end_ns = begin_ns + round(request.duration_s * NANOSECONDS)
         recorder.fill_disk(request.duration_s)
-        book.tell([InjectedFault(request.fault, "", begin_ns, end_ns)])
+        book.publish([InjectedFault(request.fault, "", begin_ns, end_ns)])
         return Accepted()
 
     node.serve("fault", FaultRequest, fail)

@@ -124,7 +124,7 @@ class PublisherEnds:
 
     # --- what the bus tells ---
 
-    def hear(self, received: Received) -> None:
+    def receive(self, received: Received) -> None:
         """Note a message."""
         if not received.session or received.session == self._own:
             return

@@ -132,7 +132,7 @@ class Recorder:
             return Health.ERROR, f"{doing}; {lost} lost here, {missed} missed on the bus"
         return (Health.ERROR if self._failure else Health.OK), doing
 
-    def tell_losses(self) -> None:
+    def log_losses(self) -> None:
         """Write a log line with the number of messages lost since the line before, at most every 5 s."""
         lost = self._lost()
         if lost > self._lost_reported and time.monotonic() >= self._next_report_s:

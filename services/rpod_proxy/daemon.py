@@ -67,7 +67,7 @@ def _control(
         while not stop.wait(_POLL_S):
             manager.alive()
             now_ns = time.time_ns()
-            book.tell(plan.begun(now_ns))
+            book.publish(plan.begun(now_ns))
             for name, relay in relays.items():
                 condition = plan.condition(name, now_ns)
                 if condition != before[name]:

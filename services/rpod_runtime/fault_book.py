@@ -30,7 +30,7 @@ class FaultBook:
         self._publisher: Publisher | None = None
         self._faults: dict[tuple[str, str, int], InjectedFault] = {}
 
-    def tell(self, faults: Iterable[InjectedFault]) -> None:
+    def publish(self, faults: Iterable[InjectedFault]) -> None:
         """Publish faults that are new or whose end has changed, each in a message with all before it."""
         for fault in faults:
             if self._faults.get(fault.identity) == fault:

@@ -215,7 +215,7 @@ class LidarReader:
         fields = read_points(message)
         item = time_field(message)
         if item is not None and "t" not in fields:
-            self._tell(
+            self._log_once(
                 f"point field {item.name!r} is neither time from the stamp nor absolute time: ignored, "
                 "so that a scan counts as measured at once"
             )
@@ -247,12 +247,12 @@ class LidarReader:
         if seen is None:
             return self._seen_rows if said is None else said
         if said not in (None, seen):
-            self._tell(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
+            self._log_once(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
         self._shown = self._shown + 1 if seen == self._seen_rows else 1
         self._seen_rows = seen
         return seen
 
-    def _tell(self, text: str) -> None:
+    def _log_once(self, text: str) -> None:
         """Log a text once."""
         if text not in self._told:
             self._told.add(text)

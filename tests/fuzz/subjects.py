@@ -207,7 +207,7 @@ def _make_heartbeat(rnd: Random) -> bytes:
 def _read_heartbeat(data: bytes) -> bool:
     ends = PublisherEnds(lambda _: True, Link(HealthBook("logger"), ""), own="")
     ends.came("s", DIAGNOSTICS)
-    ends.hear(
+    ends.receive(
         Received(DIAGNOSTICS, "k", memoryview(data), Attachment(1, 0, bytes(GID_BYTES)), 0, session="s")
     )
     ends.gone("s", DIAGNOSTICS, now_s=1.0, now_ns=10**9)

@@ -25,7 +25,7 @@ def test_the_pose_of_an_arm_is_heard_up_to_a_frame_and_its_absence_and_wrong_fra
     node = bus.node("estimator")
     config = EstimatorConfig.model_validate({"target": "mockup", "bus": bus.config, "sensors": [PmdInput()]})
     heard = BodyInput(node, config, bodies)
-    heard.hear_up_to(STAMP_NS)
+    heard.take_until(STAMP_NS)
     assert "bodies/forearm/odometry: no pose" in node.health.diagnostic(0).values["bodies"]
     publisher = bus.node("robots").publisher(BODY.at("forearm"))
     for number in range(20):
@@ -42,7 +42,7 @@ def test_the_pose_of_an_arm_is_heard_up_to_a_frame_and_its_absence_and_wrong_fra
         publisher.publish(write_odometry(reading))
     last_ns, ends_s = STAMP_NS + 19 * PERIOD_NS, monotonic() + TIMEOUT_S
     while not bodies.tracks["forearm"].covers(last_ns) and monotonic() < ends_s:
-        heard.hear_up_to(last_ns)
+        heard.take_until(last_ns)
     found = bodies.tracks["forearm"].at(last_ns + PERIOD_NS // 2)
     np.testing.assert_allclose(found.translation, [0.195, 0.0, 2.0])
     assert node.health.counters()["rejected/bodies/forearm/odometry/malformed"] == 1

@@ -37,7 +37,7 @@ def test_readings_are_waited_for_up_to_a_frame(bus):
     node, imu = an_input(bus, track)
     publish(bus, 100)
     while not track.covers(last_ns) and monotonic() < ends_s:
-        imu.hear_up_to(last_ns)
+        imu.take_until(last_ns)
     step = track.step(STAMP_NS, last_ns)
     np.testing.assert_allclose(step.rate_after_rad_s, [0.0, 0.01, 0.0])
     assert step.unknown_s == 0.0
@@ -49,7 +49,7 @@ def test_a_reading_without_the_attitude_that_an_orbit_needs_is_rejected_and_told
     node, imu = an_input(bus, track, orbit={"period_s": 6000.0})
     publish(bus, 2)
     while node.health.counters().get("rejected/chaser/imu/malformed", 0) < 2 and monotonic() < ends_s:
-        imu.hear_up_to(STAMP_NS)
+        imu.take_until(STAMP_NS)
     assert node.health.counters()["rejected/chaser/imu/malformed"] == 2
     assert not track.covers(STAMP_NS)
     assert "chaser's rotation is unknown" in node.health.diagnostic(0).values["imu"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from rpod.calibrate.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import print_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.background import learned_backgrounds
 from rpod_pose.surroundings.known import KnownSurroundingsError
@@ -29,7 +29,7 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
                 sensors[name] = {"background": file.name}
                 known_share = float((background.range_m > 0.0).mean())
                 found[name] = {"frames": background.frames, "known_share": known_share}
-            tell_unreadable("rpod calibrate background", log)
+            print_unreadable("rpod calibrate background", log)
         out.write_text(yaml.safe_dump({"sensors": sensors}), "utf-8")
     except (AnalysisError, KnownSurroundingsError, OSError) as error:
         print(f"rpod calibrate background: {error}", file=sys.stderr)

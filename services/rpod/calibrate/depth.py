@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from rpod.calibrate.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import print_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import collect
@@ -36,7 +36,7 @@ def calibrate_command(
         written = (out or Path(f"{camera}-calibration.yaml")) if given is None else out
         if written:
             calibration.write(written)
-        tell_unreadable("rpod calibrate", *opened)
+        print_unreadable("rpod calibrate", *opened)
     except ConfigurationError as error:
         print(f"rpod calibrate: {error}", file=sys.stderr)
         return EXIT_USAGE
@@ -48,11 +48,11 @@ def calibrate_command(
         found = {"file": str(written) if written else None, "ranges": ranges}
         print(json.dumps(calibration.model_dump(mode="json") | found, indent=2))
     else:
-        _tell(calibration, bins, written)
+        _print(calibration, bins, written)
     return EXIT_OK
 
 
-def _tell(calibration: DepthCalibration, bins: Sequence[RangeBin], written: Path | None) -> None:
+def _print(calibration: DepthCalibration, bins: Sequence[RangeBin], written: Path | None) -> None:
     console, found = Console(), calibration.evidence
     assert found is not None  # noqa: S101 - told by the caller
     console.print(_errors(calibration))

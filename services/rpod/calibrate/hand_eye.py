@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import yaml
 
-from rpod.calibrate.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import print_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
 from rpod_analysis.calibration.hand_eye.logged import LoggedPoses, poses_of
@@ -59,7 +59,7 @@ def hand_eye_command(
             depth_sigma_m = poses.depth_sigma_m if depth_sigma_mm is None else 1e-3 * depth_sigma_mm
             find = _mount if verb == "mount" else _clock
             found = find(poses, Assumptions(depth_sigma_m), path.name)
-            tell_unreadable(f"rpod calibrate {verb}", log)
+            print_unreadable(f"rpod calibrate {verb}", log)
         file = out or found.default
         found.write(file)
     except ConfigurationError as error:

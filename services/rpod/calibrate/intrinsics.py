@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from rpod.calibrate.unreadable import tell_unreadable
+from rpod.calibrate.unreadable import print_unreadable
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.intrinsics import (
     Checkerboard,
@@ -44,7 +44,7 @@ def camera_command(
         else:
             with open_log(images) as log:
                 found = find_intrinsics(images_of(log, sensor), board, model)
-                tell_unreadable("rpod calibrate camera", log)
+                print_unreadable("rpod calibrate camera", log)
         file = out or Path(f"{sensor}-camera.yaml")
         document = found.camera.model_dump(mode="json")
         lines = list(found.findings())

@@ -5,7 +5,7 @@ import sys
 from rpod_analysis.log import Log
 
 
-def tell_unreadable(verb: str, *logs: Log) -> None:
+def print_unreadable(verb: str, *logs: Log) -> None:
     """Print a line on standard error for each topic and reason of messages that cannot be read."""
     for log in logs:
         for kind in log.unreadable.kinds:

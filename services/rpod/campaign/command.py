@@ -85,7 +85,7 @@ def campaign_command(
             told["totals"] = _plain(campaign.totals(results))
         print(json.dumps(told, indent=2, allow_nan=False))
     else:
-        _tell(sections, report, prepared.folder.trials_file)
+        _print(sections, report, prepared.folder.trials_file)
     return EXIT_OK
 
 
@@ -139,7 +139,7 @@ def _executor(jobs: int | None, cluster: str | None) -> Callable[[Callable[[str]
     return lambda note: Cluster(cluster, note=note)
 
 
-def _tell(sections: Sequence[Section], report: Path, trials: Path) -> None:
+def _print(sections: Sequence[Section], report: Path, trials: Path) -> None:
     console = Console()
     console = console if console.is_terminal else Console(width=_PLAIN_WIDTH)
     for section in sections:

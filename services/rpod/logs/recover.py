@@ -23,11 +23,11 @@ def recover_command(log: Path, *, out: Path | None, as_json: bool) -> int:
     if as_json:
         print(recovery.model_dump_json(indent=2))
     else:
-        _tell(recovery)
+        _print(recovery)
     return EXIT_OK
 
 
-def _tell(recovery: Recovery) -> None:
+def _print(recovery: Recovery) -> None:
     console = Console()
     table = Table(title=f"{recovery.messages} messages recovered", title_justify="left")
     table.add_column("topic", no_wrap=True)

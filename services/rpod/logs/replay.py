@@ -74,7 +74,7 @@ def bus_command(
                 log.error("%s", error)
                 outcome = EXIT_FAILURE
             else:
-                _tell_played(played, as_json=as_json)
+                _print_played(played, as_json=as_json)
 
     with opened:
         return run_service(_INSTANCE, serve) or outcome
@@ -95,7 +95,7 @@ def _check_playback(playback: Playback) -> None:
         raise ConfigurationError("rpod replay", "--to", "is not after --from; give a later time")
 
 
-def _tell_played(played: Played, *, as_json: bool) -> None:
+def _print_played(played: Played, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(asdict(played), indent=2))
         return
@@ -134,7 +134,7 @@ def navigator_command(
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
-        _tell_report(report)
+        _print_report(report)
     return EXIT_OK
 
 
@@ -205,7 +205,7 @@ def _cell(side: Side | None, form: str, of: Callable[[Side], float | None]) -> s
     return "-" if value is None else format(value, form)
 
 
-def _tell_report(report: ReplayReport) -> None:
+def _print_report(report: ReplayReport) -> None:
     console = Console()
     table = Table(title=f"{report.frames} frames replayed", title_justify="left")
     table.add_column("", style="dim")

@@ -72,7 +72,7 @@ def run_command(
     if as_json:
         print(summary.model_dump_json(indent=2))
     else:
-        _tell(summary, paths)
+        _print(summary, paths)
     return EXIT_OK
 
 
@@ -92,7 +92,7 @@ def _speed(speed: str) -> Speed:
     raise ConfigurationError("--speed", "", f"is {speed!r}; it must be 1 or max")
 
 
-def _tell(summary: Summary, paths: "ReportPaths") -> None:
+def _print(summary: Summary, paths: "ReportPaths") -> None:
     console = Console()
     print_summary(summary, console)
     console.print(f"log      {summary.log}", soft_wrap=True, highlight=False)

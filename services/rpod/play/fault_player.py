@@ -141,7 +141,7 @@ class FaultPlayer:
             case _:
                 self._ask(fault)
                 return  # proxy and logger tell it
-        self._book.tell([fault.injected])
+        self._book.publish([fault.injected])
 
     def _ask(self, fault: _Playing) -> None:
         asked = fault.asked

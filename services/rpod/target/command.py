@@ -94,7 +94,7 @@ def check_command(
         print(json.dumps(found.document() | written, indent=2))
         return EXIT_OK
     console = Console(highlight=False)
-    _tell(found, console)
+    _print(found, console)
     console.print(f"page     {files.page}", soft_wrap=True, markup=False)
     console.print(f"picture  {files.picture}", soft_wrap=True, markup=False)
     return EXIT_OK
@@ -113,7 +113,7 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
         return replace(made.target, source=str(file), repairs=told)
 
 
-def _tell(found: TargetCheck, console: Console) -> None:
+def _print(found: TargetCheck, console: Console) -> None:
     sides = " x ".join(f"{side:.4g}" for side in found.size.sides_m)
     parts, field = len(found.parts), found.distance_field
     console.print(

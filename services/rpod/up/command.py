@@ -34,7 +34,7 @@ def up_command(path: Path, *, as_json: bool) -> int:
     }
     try:
         facility = resolve_facility(path)
-        keep_up(facility, asked=asked, tell=lambda status: _tell(status, as_json=as_json))
+        keep_up(facility, asked=asked, tell=lambda status: _print_status(status, as_json=as_json))
     except ConfigurationError as error:
         return _fail("up", error, EXIT_USAGE)
     except (RunError, OSError) as error:
@@ -89,7 +89,7 @@ def down_command(path: Path, *, as_json: bool) -> int:
     return EXIT_OK
 
 
-def _tell(status: FacilityStatus, *, as_json: bool) -> None:
+def _print_status(status: FacilityStatus, *, as_json: bool) -> None:
     if as_json:
         print(status.model_dump_json(), flush=True)
 

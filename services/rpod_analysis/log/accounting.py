@@ -83,7 +83,7 @@ class Account:
         self.first[name] = min(sequence, self.first.get(name, sequence))
         self.last[name] = max(sequence, self.last.get(name, sequence))
 
-    def hear(self, diagnostic: Diagnostic) -> None:
+    def take_diagnostic(self, diagnostic: Diagnostic) -> None:
         """Add a service's counters, and its alarm if the level is ERROR."""
         if diagnostic.level == Health.ERROR:
             alarm = without_figures(f"{diagnostic.name}: {diagnostic.message}")

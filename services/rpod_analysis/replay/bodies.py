@@ -29,11 +29,11 @@ class LoggedBodies:
         self._readings = _readings(log, bodies, self.unused) if bodies is not None and known else iter(())
         self._next = next(self._readings, None)
 
-    def hear_up_to(self, stamp_ns: int) -> None:
+    def take_until(self, stamp_ns: int) -> None:
         """Pass on the readings up to a stamp."""
         while self._bodies is not None and self._next is not None and self._next[1].stamp_ns <= stamp_ns:
             frame, reading = self._next
-            self._bodies.tracks[frame].hear(reading.stamp_ns, reading.pose)
+            self._bodies.tracks[frame].take(reading.stamp_ns, reading.pose)
             self._next = next(self._readings, None)
 
 

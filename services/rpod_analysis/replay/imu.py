@@ -30,10 +30,10 @@ class LoggedImu:
         self._readings = iter(()) if track is None else _readings(log, config, self.unused)
         self._next = next(self._readings, None)
 
-    def hear_up_to(self, stamp_ns: int) -> None:
+    def take_until(self, stamp_ns: int) -> None:
         """Pass on the readings up to a stamp."""
         while self._track is not None and self._next is not None and self._next.stamp_ns <= stamp_ns:
-            self._track.hear(self._next)
+            self._track.take(self._next)
             self._next = next(self._readings, None)
 
 

@@ -245,7 +245,7 @@ class _Feed:
         for event in events:
             self._estimator.learn(self._reader.infos)
             for heard in self._inputs:
-                heard.hear_up_to(event.stamp_ns)
+                heard.take_until(event.stamp_ns)
             self._reset_before(event.stamp_ns)
             if isinstance(event, Tick):
                 if (output := self._estimator.tick(event.stamp_ns)) is not None:

@@ -116,7 +116,7 @@ class Reader:
 
     def _take_diagnostics(self, logged: Logged) -> None:
         for diagnostic in read_diagnostics(logged.decode()):
-            self.found.account.hear(diagnostic)
+            self.found.account.take_diagnostic(diagnostic)
 
     def _take_faults(self, logged: Logged) -> None:
         for fault in read_faults(logged.decode()):

@@ -84,7 +84,7 @@ class ForeignDriver:
         out, err = cast(BinaryIO, self._process.stdout), cast(BinaryIO, self._process.stderr)
         self._threads = [
             Thread(target=self._read, args=(out, self._messages), daemon=True),
-            Thread(target=self._tell, args=(err,), daemon=True),
+            Thread(target=self._log_lines, args=(err,), daemon=True),
         ]
         for thread in self._threads:
             thread.start()
@@ -172,7 +172,7 @@ class ForeignDriver:
         fields = {**self._common, **message.fields}
         device_ns, partial = fields.pop("stamp_ns", None), fields.pop("partial", "")
         if partial:
-            self._tell_partial(str(partial))
+            self._log_partial(str(partial))
         stamp_ns = self._stamps.utc_ns(device_ns)
         made: SensorFrame = self._checked(
             _FRAME, {"frame_id": "", **fields, **message.arrays, "stamp_ns": stamp_ns}
@@ -194,7 +194,7 @@ class ForeignDriver:
                 self._shown, f"sends no {model.__name__}: {field}: {first['msg']}"
             ) from error
 
-    def _tell_partial(self, what: str) -> None:
+    def _log_partial(self, what: str) -> None:
         self._partial += 1
         if self._partial == 10 ** (len(str(self._partial)) - 1):
             log.warning("%s: %s (%d such frames so far)", self._name, what, self._partial)
@@ -213,7 +213,7 @@ class ForeignDriver:
             if message is None:
                 return
 
-    def _tell(self, stream: BinaryIO) -> None:
+    def _log_lines(self, stream: BinaryIO) -> None:
         for line in stream:
             text = line.decode(errors="replace").rstrip()
             self._tail.append(text)

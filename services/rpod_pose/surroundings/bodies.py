@@ -72,7 +72,7 @@ class FrameTrack:
         self._stamps_ns: list[int] = []
         self._poses: list[RigidTransform] = []
 
-    def hear(self, stamp_ns: int, T_chaser_frame: RigidTransform) -> bool:
+    def take(self, stamp_ns: int, T_chaser_frame: RigidTransform) -> bool:
         """Add a reading; return whether it is newer than all before, otherwise it is not used."""
         if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
             return False

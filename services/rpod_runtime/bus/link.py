@@ -55,7 +55,7 @@ class Link:
 
     def watch(self, session: zenoh.Session) -> Callable[[], None]:
         """Watch an open session; returns the function that ends it."""
-        listener = session.info.declare_transport_events_listener(self._hear, history=True)
+        listener = session.info.declare_transport_events_listener(self._take_event, history=True)
         return listener.undeclare
 
     @property
@@ -69,7 +69,7 @@ class Link:
         with self._lock:
             return tuple(each for each in self._outages if each.end_ns is None or each.end_ns > since_ns)
 
-    def _hear(self, event: zenoh.TransportEvent) -> None:
+    def _take_event(self, event: zenoh.TransportEvent) -> None:
         if event.transport.whatami != zenoh.WhatAmI.ROUTER:
             return
         self.note(str(event.transport.zid), opened=event.kind == zenoh.SampleKind.PUT, now_ns=time.time_ns())

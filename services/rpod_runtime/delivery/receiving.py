@@ -114,9 +114,9 @@ class Delivery:
         fetched = sample.congestion_control == _REPLAYED
         self._account.take(key, attachment, fetched=fetched)
         if self._account.forgotten:
-            self._tell_forgotten()
+            self._log_forgotten()
 
-    def _tell_forgotten(self) -> None:
+    def _log_forgotten(self) -> None:
         if not self._forgets:
             self._forgets = True
             log.warning(

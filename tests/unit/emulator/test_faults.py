@@ -253,7 +253,7 @@ def test_each_fault_is_told_when_it_begins_with_all_before_it():
     faults.begin(config(*planned), 5 * SECOND_NS)
     book = FaultBook(node)
     for stamp_s in (5, 6, 7, 8):
-        book.tell(faults.begun(stamp_s * SECOND_NS, 5 * SECOND_NS))
+        book.publish(faults.begun(stamp_s * SECOND_NS, 5 * SECOND_NS))
     told = [read_faults(decode(encode(message), FAULTS_TOPIC.type)) for _, message, _ in node.messages]
     blackout = InjectedFault("blackout", "pmd", 5 * SECOND_NS)
     glints = InjectedFault("glints", "", 7 * SECOND_NS, 10 * SECOND_NS, 0.4)

@@ -25,7 +25,7 @@ def test_a_body_seen_elsewhere_is_told_counted_and_in_the_summary_and_one_in_its
             seen = Sighting("arm", state, 0.05, 100, 100 * (state is BodyState.IN_PLACE), 0, offset_m)
             bodies.book.take("pmd", seen, np.eye(3))
         report.update()
-        account.hear(health.diagnostic(0))
+        account.take_diagnostic(health.diagnostic(0))
 
     show(BodyState.ELSEWHERE, np.array([0.3, 0.0, 0.4]))
     found = health.diagnostic(0)

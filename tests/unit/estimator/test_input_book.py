@@ -21,7 +21,7 @@ def book_after(losses, *, rate_hz=8.0):
     book, now_s = SensorBook("pmd", "depth", now_s=0.0), 0.0
     for loss in losses:
         now_s += 1.0 / rate_hz
-        book.hear(now_s)
+        book.note_arrival(now_s)
         if loss is None:
             book.use(now_s)
         else:
@@ -63,7 +63,7 @@ def test_of_a_slow_sensor_the_last_three_frames_are_judged():
 def test_frames_before_a_silence_do_not_count():
     book, now_s = book_after([LATE] * 30)
     assert book.state(now_s + 3.0).text == "pmd: no frame for 3 s; look at its driver"
-    book.hear(now_s + 3.0)
+    book.note_arrival(now_s + 3.0)
     book.use(now_s + 3.0)
     assert book.state(now_s + 3.1).level == Health.OK
 
@@ -73,7 +73,7 @@ def test_a_state_that_is_not_ok_is_logged_at_once_and_each_minute_and_so_is_its_
     health = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0)
     book = health.books["pmd"]
     for second in range(1, 140):
-        book.hear(second)
+        book.note_arrival(second)
         if second < 130:
             book.lose(Loss("late", f"late: {second}.000 s old"), second)
         else:
@@ -90,7 +90,7 @@ def test_a_sensor_that_never_sends_is_told():
     assert book.state(1.0).level == Health.OK
     state = book.state(5.0)
     assert state == (Health.WARN, "pmd: no frame yet in 5 s; is its driver running, under this name?")
-    book.hear_others(4.0)
+    book.take_others(4.0)
     assert "no depth for 5 s, only other parts" in book.state(5.0).text
 
 

@@ -414,7 +414,7 @@ def test_what_a_driver_says_of_ptp_and_trigger_is_repeated():
     assert bench.arrived() == []
     start_s = monotonic()
     for number in range(40):
-        bench.inputs.health.books["pmd"].hear(start_s + number / 16)
+        bench.inputs.health.books["pmd"].note_arrival(start_s + number / 16)
         bench.inputs.health.books["pmd"].use(start_s + number / 16)
     level, message, values = told(bench, start_s + 2.5)
     assert level == Health.WARN

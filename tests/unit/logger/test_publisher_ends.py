@@ -48,7 +48,7 @@ class Stage:
         received = Received(
             topic, topic.name, memoryview(payload), attachment, 0, arrival_s=self.now_s, session=session
         )
-        self.ends.hear(received)
+        self.ends.receive(received)
 
     def leave(self, session: str = "s") -> None:
         for topic in (CLOCK, DIAGNOSTICS):

@@ -272,7 +272,7 @@ def test_what_does_not_fit_is_lost_loudly_and_counted(desk, arrive, monkeypatch,
     log = one.recorder.start()
     for number in range(1, 41):
         one.put(arrive(BIG, number, payload=bytes(100_000)))
-    one.recorder.tell_losses()
+    one.recorder.log_losses()
     level, message = one.recorder.check()
     disk_is_free.set()
     closed = one.recorder.stop()

@@ -154,7 +154,7 @@ class Dispatch:
         self._require_connection()
         for worker in list(self._workers.values()):
             if worker.stage is _Stage.ASKED and worker.question.status != "pending":
-                self._hear(worker)
+                self._receive(worker)
             for future, batch in list(worker.running):
                 if future.status == "pending":
                     continue
@@ -163,7 +163,7 @@ class Dispatch:
                 if delivery is not None:
                     yield self._arrived(batch, delivery)
 
-    def _hear(self, worker: _Worker) -> None:
+    def _receive(self, worker: _Worker) -> None:
         """Process a worker's answer whether it may run the trials."""
         try:
             answer: Answer = worker.question.result(timeout=_RESULT_S)

@@ -161,9 +161,9 @@ class GenicamCamera:
         amplitude = amplitude_of(components)
         if amplitude is None:
             formats = ", ".join(each.data_format for each in components)
-            self._tell(f"no grey image among {formats}: frames have no amplitude")
+            self._log_once(f"no grey image among {formats}: frames have no amplitude")
         elif amplitude.shape != depth_m.shape:
-            self._tell(f"the intensity is {amplitude.shape}, the depth {depth_m.shape}: it is left out")
+            self._log_once(f"the intensity is {amplitude.shape}, the depth {depth_m.shape}: it is left out")
             amplitude = None
         return PmdFrame(
             stamp_ns=self._stamps.utc_ns(_stamp_ns(buffer)),
@@ -173,7 +173,7 @@ class GenicamCamera:
             camera=self._scan.camera(width, height),
         )
 
-    def _tell(self, text: str) -> None:
+    def _log_once(self, text: str) -> None:
         if text not in self._told:
             self._told.add(text)
             log.warning("%s: %s", self._name, text)

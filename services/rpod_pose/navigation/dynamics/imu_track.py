@@ -92,7 +92,7 @@ class ImuTrack:
         newest_ns = self._sums[-1].stamp_ns
         return 2 * newest_ns - self._sums[-2].stamp_ns > stamp_ns
 
-    def hear(self, reading: ImuReading) -> bool:
+    def take(self, reading: ImuReading) -> bool:
         """Add a reading; return whether it is newer than all before, otherwise it is not used."""
         last = self._sums[-1] if self._sums else None
         if last is not None and reading.stamp_ns <= last.stamp_ns:

@@ -210,7 +210,7 @@ def test_what_a_publisher_sent_long_before_the_log_is_not_missed():
     account = Account()
     for sequence in range(100_001, 100_011):
         account.take(message("pmd/camera_info", sequence))
-    account.hear(heartbeat("driver", published__pmd__camera_info=100_011))
+    account.take_diagnostic(heartbeat("driver", published__pmd__camera_info=100_011))
     count = account.frames()["pmd/camera_info"]
     assert (count.published, count.logged, count.missed) == (11, 10, 1)
 
@@ -220,22 +220,24 @@ def test_the_counters_of_several_publishers_and_of_a_restarted_one_add_up():
     for sequence in (1, 2, 3, 1, 1, 2):
         account.take(message("tf", sequence))
     for service, value in (("motion", 2), ("motion", 3), ("estimator", 1), ("motion", 1), ("motion", 2)):
-        account.hear(heartbeat(service, published__tf=value))
+        account.take_diagnostic(heartbeat(service, published__tf=value))
     assert account.frames()["tf"].published == 6
 
 
 def test_only_the_estimator_whose_status_it_is_has_dropped_frames():
     account = Account()
-    account.hear(heartbeat("a", published__estimate__status=9, dropped__pmd=3, dropped__lidar=1, dropped=4))
-    account.hear(heartbeat("b", published__other__status=9, dropped__pmd=50))
-    account.hear(heartbeat("logger", dropped=70))
+    account.take_diagnostic(
+        heartbeat("a", published__estimate__status=9, dropped__pmd=3, dropped__lidar=1, dropped=4)
+    )
+    account.take_diagnostic(heartbeat("b", published__other__status=9, dropped__pmd=50))
+    account.take_diagnostic(heartbeat("logger", dropped=70))
     assert account.dropped("estimate/status") == 4
     assert account.dropped("other/status") == 50
 
 
 def test_a_frame_that_never_became_complete_is_dropped_too():
     account = Account()
-    account.hear(heartbeat("a", published__estimate__status=9, dropped__pmd=3, incomplete__pmd=2))
+    account.take_diagnostic(heartbeat("a", published__estimate__status=9, dropped__pmd=3, incomplete__pmd=2))
     assert account.dropped("estimate/status") == 5
 
 
@@ -243,7 +245,9 @@ def test_a_command_that_a_service_accepted_is_told_once_with_its_request():
     account = Account()
     for count in (0, 1, 1, 2):
         values = {"commands/reset": str(count), "command/reset": f'{{"pose": {count}}}'} if count else {}
-        account.hear(Diagnostic(stamp_ns=count, name="estimator", level=Health.OK, message="", values=values))
+        account.take_diagnostic(
+            Diagnostic(stamp_ns=count, name="estimator", level=Health.OK, message="", values=values)
+        )
     assert [(c.stamp_ns, c.service, c.verb, c.request) for c in account.commands] == [
         (1, "estimator", "reset", '{"pose": 1}'), (2, "estimator", "reset", '{"pose": 2}'),
     ]  # fmt: skip
@@ -252,7 +256,9 @@ def test_a_command_that_a_service_accepted_is_told_once_with_its_request():
 def test_alarms_are_counted_by_what_they_say():
     account = Account()
     for level, message in ((Health.ERROR, "disk full"), (Health.ERROR, "disk full"), (Health.WARN, "slow")):
-        account.hear(Diagnostic(stamp_ns=0, name="logger", level=level, message=message, values={}))
+        account.take_diagnostic(
+            Diagnostic(stamp_ns=0, name="logger", level=level, message=message, values={})
+        )
     assert account.alarms == {"logger: disk full": 2}
 
 
@@ -260,7 +266,9 @@ def test_an_alarm_with_other_figures_is_the_same_alarm():
     account = Account()
     for age in ("1.200", "1.300"):
         message = f"pmd: no frame used: late: {age} s old"
-        account.hear(Diagnostic(stamp_ns=0, name="e", level=Health.ERROR, message=message, values={}))
+        account.take_diagnostic(
+            Diagnostic(stamp_ns=0, name="e", level=Health.ERROR, message=message, values={})
+        )
     assert account.alarms == {"e: pmd: no frame used: late: … s old": 2}
 
 
@@ -273,7 +281,9 @@ def test_what_became_of_a_sensors_frames_is_read_from_the_estimators_diagnostics
             "inputs/pmd/not_used/late": str(2 * number),
             "input/pmd/late": f"late: {number}.000 s old",
         }
-        account.hear(Diagnostic(stamp_ns=0, name="estimator", level=Health.OK, message="", values=values))
+        account.take_diagnostic(
+            Diagnostic(stamp_ns=0, name="estimator", level=Health.OK, message="", values=values)
+        )
     inputs = account.inputs("estimate/status")
     assert {sensor: each.model_dump() for sensor, each in inputs.items()} == {
         "pmd": {"used": 2, "not_used": {"late": {"frames": 4, "last": "late: 2.000 s old"}}}

@@ -121,7 +121,7 @@ def test_the_place_of_a_moving_body_is_extrapolated_and_unknown_after_a_gap(tmp_
     for number in range(3):
         shift = np.array([0.1, 0.0, 0.0]) * (number - 3)
         moved = make_pose(rotation=ACROSS.rotation, translation_m=ACROSS.translation + shift)
-        known.tracks["forearm"].hear(STAMP_NS + (number - 3) * 10_000_000, MOUNT * moved)
+        known.tracks["forearm"].take(STAMP_NS + (number - 3) * 10_000_000, MOUNT * moved)
     found = known.tracks["forearm"].at(STAMP_NS)
     np.testing.assert_allclose((MOUNT.inv() * found).translation, ACROSS.translation, atol=1e-9)
     assert known.unknown(STAMP_NS) == ()

@@ -105,7 +105,7 @@ def a_track(rate_hz=100.0, span_s=(-1.0, 4.0), **fields):
         rate = np.radians([1.0, 0.5 * np.sin(0.3 * time_s), -0.3])
         force = 1e-3 * np.array([2.0, -time_s, 3.0])
         stamp_ns = 10**18 + round(time_s * 1e9)
-        track.hear(
+        track.take(
             ImuReading(stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=rate, force_m_s2=force, **fields)
         )
     return track
@@ -182,7 +182,7 @@ def test_a_chaser_that_turns_sees_a_target_at_rest_turn_the_other_way():
     rate = np.radians([0.0, 1.0, 0.0])
     for number in range(-50, 3100):
         stamp_ns = 10**18 + number * 10_000_000
-        track.hear(ImuReading(stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=rate))
+        track.take(ImuReading(stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=rate))
     pose = make_pose(translation_m=[0.0, 0.0, 10.0])
     state = FilterState(
         10**18, pose, -np.cross(rate, pose.translation), -rate, np.eye(12), model=FreeMotion(track)
@@ -210,7 +210,7 @@ def test_readings_that_are_not_newer_are_not_used():
     track = a_track()
     newest_ns = 10**18 + 3_990_000_000
     old = ImuReading(stamp_ns=newest_ns, frame_id=CHASER, rate_rad_s=np.ones(3))
-    assert not track.hear(old)
+    assert not track.take(old)
     assert track.covers(newest_ns + 9_000_000)
     assert not track.covers(newest_ns + 11_000_000)
 
@@ -239,7 +239,7 @@ def test_the_star_tracker_tells_the_bias_of_the_gyro():
         rate = np.radians([0.5, 1.0 * np.sin(0.1 * time_s), 0.0])
         noise = np.radians(0.0025) * np.sqrt(10.0) * generator.standard_normal(3)
         measured = Rotation.from_rotvec([0.0, 0.0, -n * time_s]) * R
-        track.hear(
+        track.take(
             ImuReading(
                 stamp_ns=10**18 + number * 100_000_000, frame_id=CHASER, rate_rad_s=rate + bias + noise,
                 R_orbit_chaser=measured * Rotation.from_rotvec(sigma * generator.standard_normal(3)),
