@@ -62,12 +62,9 @@ SHAPE = re.compile(
     r"\bshape|\((?:\w+(?: [-+] \d)?,)(?: ?\w+(?: [-+] \d)?,?)*\)|\b[nK] x [nK]\b|arguments|``\w+\.\w+``"
 )
 """A shape, such as "shape (N, 3)" or "(3,)", or a reference to a record or function that says it."""
-NO_SHAPES_YET = "rpod_pose.pmd."
 
 
-@pytest.mark.parametrize(
-    "kernel", [one for one in KERNELS if not one.values[0].py_func.__module__.startswith(NO_SHAPES_YET)]
-)
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_a_kernel_that_takes_arrays_says_their_shapes(kernel):
     annotations = typing.get_type_hints(kernel.py_func)
     arrays = [name for name, kind in annotations.items() if typing.get_origin(kind) is np.ndarray]

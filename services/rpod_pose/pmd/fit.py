@@ -311,7 +311,10 @@ def _saturated(square: float, most: float) -> float:
 
 @kernel
 def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> float:
-    """Return the cosine of incidence of the ray (x, y, z) on a face whose normal is in target axes."""
+    """Return the cosine of incidence of the ray (x, y, z) on a face.
+
+    ``normal`` is in target axes, shape (3,). ``R`` turns target axes to sensor axes, shape (3, 3).
+    """
     a = R[0, 0] * normal[0] + R[0, 1] * normal[1] + R[0, 2] * normal[2]
     b = R[1, 0] * normal[0] + R[1, 1] * normal[1] + R[1, 2] * normal[2]
     c = R[2, 0] * normal[0] + R[2, 1] * normal[1] + R[2, 2] * normal[2]
@@ -324,7 +327,7 @@ def _predict(compared: Comparison, R: FloatArray) -> float:
     """Fill the log amplitudes predicted up to a gain, and their sigmas; return the logarithm of the gain.
 
     The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by the inverse
-    variance of each pixel's log albedo.
+    variance of each pixel's log albedo. ``R`` turns target axes to sensor axes, shape (3, 3).
     """
     surface, grid, seen, _, canvas = compared
     range_m, owner, predicted, sigma_log = canvas

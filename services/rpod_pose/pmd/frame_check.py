@@ -282,7 +282,7 @@ def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray)
         rendered: the target at the pose.
         i: row of the coarse pixel.
         j: column of the coarse pixel.
-        reflected_m: as for ``contradictions``.
+        reflected_m: for each triangle, as for ``contradictions``, m, shape (triangles,).
     """
     triangle = rendered.triangle[i, j]
     if triangle < 0 or triangle >= reflected_m.size:
