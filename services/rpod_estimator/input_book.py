@@ -94,7 +94,7 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
-    def take_others(self, now_s: float) -> None:
+    def note_others(self, now_s: float) -> None:
         """Note that parts of a frame came without the leading one."""
         self._others_s = now_s
 

@@ -65,7 +65,7 @@ class InputHealth:
         if leading in frame.parts:
             book.lose(unpaired(frame, leading), now_s)
         else:
-            book.take_others(now_s)
+            book.note_others(now_s)
 
     def rest(self, pause_s: float) -> None:
         """Note how long searches rest."""
