@@ -116,7 +116,8 @@ class _Service:
         """Publish a result, and with it whether it is valid."""
         if output is not None:
             self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
+            self._outputs.publish_estimate(output, self._beacon.current())
             since_s = arrived.arrival_s if arrived is not None else None
             frozen = arrived is not None and arrived.refused == Reason.FROZEN
             integrity = self._estimator.integrity(output, frozen=frozen)
-            self._outputs.publish(output, self._beacon.current(), integrity, since_s=since_s)
+            self._outputs.publish_judgement(output.status, integrity, since_s=since_s)

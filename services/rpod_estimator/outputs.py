@@ -60,18 +60,8 @@ class Outputs:
         """Publish the validity of the newest estimate."""
         self._validity.publish(write_validity(validity))
 
-    def publish(
-        self,
-        output: Output,
-        validity: EstimateValidity,
-        integrity: Integrity,
-        *,
-        since_s: float | None = None,
-    ) -> None:
-        """Publish a result; the status comes last, because lockstep waits for it.
-
-        ``since_s`` is the arrival of the frame's last part on the monotonic clock.
-        """
+    def publish_estimate(self, output: Output, validity: EstimateValidity) -> None:
+        """Publish an estimate and whether it is valid, at once: a controller waits for them."""
         odometry = output.odometry
         if odometry is not None:
             self._odometry.publish(write_odometry(odometry))
@@ -89,8 +79,15 @@ class Outputs:
             message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")
             self._contradiction.publish(message)
         self.tell(validity)
+
+    def publish_judgement(
+        self, status: EstimatorStatus, integrity: Integrity, *, since_s: float | None = None
+    ) -> None:
+        """Publish how far an estimate can be wrong, and its status last, because lockstep waits for it.
+
+        ``since_s`` is the arrival of the frame's last part on the monotonic clock.
+        """
         self._integrity.publish(write_integrity(integrity))
-        status = output.status
         if since_s is not None:
             status = status.model_copy(update={"processing_s": time.monotonic() - since_s})
         self._publish_status(status)

@@ -48,7 +48,7 @@ class Publisher:
         self._messages[self.topic.name] = message
 
 
-def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_before_the_status():
+def test_estimate_and_frames_of_the_target_are_published_before_integrity_and_status_are_known():
     node = Node()
     covariance = np.diag([1e-4, 2e-4, 3e-4, 1e-6, 2e-6, 3e-6])
     odometry = Odometry(
@@ -63,7 +63,16 @@ def test_a_frame_of_the_target_is_published_with_the_covariance_at_its_place_bef
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
     target = SimpleNamespace(frames={"grapple": GRAPPLE}, joints=())
     refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
-    Outputs(node, "second", target).publish(Output(status, odometry, refused), VALID, ALERT)
+    outputs = Outputs(node, "second", target)
+    outputs.publish_estimate(Output(status, odometry, refused), VALID)
+    assert {
+        "second/odometry",
+        "second/pose",
+        "second/frames/grapple",
+        "second/validity",
+    } <= node.messages.keys()
+    assert not {"second/integrity", "second/status"} & node.messages.keys()
+    outputs.publish_judgement(status, ALERT)
     marks = node.messages["second/contradiction"]
     assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
     np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
@@ -87,9 +96,7 @@ def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
     with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
         write_status(status)
-    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish(
-        Output(status, None), VALID, ALERT
-    )
+    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish_judgement(status, ALERT)
     sent = node.messages["estimate/status"]
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason
