@@ -44,14 +44,29 @@ class RayTree(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray in target axes."""
+    """A ray in target axes, made by ``ray``; of numbers alone, which a processor keeps in its registers."""
 
-    origin_m: FloatArray
-    """Its start, shape (3,)."""
+    from_x: float
+    from_y: float
+    from_z: float
+    """Components of its start, m."""
     x: float
     y: float
     z: float
     """Components of its unit direction."""
+    per_x: float
+    per_y: float
+    per_z: float
+    """One over these."""
+
+
+class Waiting(NamedTuple):
+    """Memory for the nodes that a ray has yet to visit."""
+
+    node: NDArray[np.int32]
+    """Index of each node, shape (DEPTH + 1,)."""
+    entry_m: FloatArray
+    """Range at which the ray enters its box, shape (DEPTH + 1,)."""
 
 
 class Hit(NamedTuple):
@@ -197,41 +212,55 @@ def _cost(counts: NDArray[np.int64], bounds: FloatArray) -> float:
     return float(total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0]))
 
 
+@kernel
+def no_nodes() -> Waiting:
+    """Return memory for the nodes of one ray after the other."""
+    return Waiting(np.empty(DEPTH + 1, np.int32), np.empty(DEPTH + 1))
+
+
 @inlined_kernel
-def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> Hit:
-    """Return the first triangle that a ray meets from its outer side, nearer than a range.
+def ray(origin: FloatArray, x: float, y: float, z: float) -> Ray:
+    """Return a ray.
+
+    Args:
+        origin: its start, target axes, shape (3,), m.
+        x: first component of its unit direction, target axes.
+        y: second component.
+        z: third component.
+    """
+    return Ray(origin[0], origin[1], origin[2], x, y, z, 1.0 / x, 1.0 / y, 1.0 / z)
+
+
+@inlined_kernel
+def first_hit(tree: RayTree, ray: Ray, waiting: Waiting) -> Hit:
+    """Return the first triangle that a ray meets from its outer side.
 
     Args:
         tree: the target's mesh.
         ray: the ray.
-        farthest_m: the range, inf for any.
-        stack: memory for nodes that are yet to be visited, shape (DEPTH + 1, 3).
+        waiting: memory.
     """
     boxes, first, held = tree.boxes_m, tree.first, tree.held
-    inverse = stack[DEPTH]
-    inverse[0], inverse[1], inverse[2] = 1.0 / ray.x, 1.0 / ray.y, 1.0 / ray.z
-    nearest, found = farthest_m, -1
-    stack[0, 0], stack[0, 1], waiting = 0, _entry(boxes, 0, ray, inverse, nearest), 1
-    while waiting > 0:
-        waiting -= 1
-        if stack[waiting, 1] >= nearest:
+    nearest, found = np.inf, -1
+    waiting.node[0], waiting.entry_m[0], number = 0, _entry(boxes, 0, ray, nearest), 1
+    while number > 0:
+        number -= 1
+        if waiting.entry_m[number] >= nearest:
             continue
-        node = int(stack[waiting, 0])
-        if held[node] == 0:
-            left = first[node]
-            near_left = _entry(boxes, left, ray, inverse, nearest)
-            near_right = _entry(boxes, left + 1, ray, inverse, nearest)
-            near_child = left if near_left <= near_right else left + 1
-            near, far = min(near_left, near_right), max(near_left, near_right)
+        node = waiting.node[number]
+        while node >= 0 and held[node] == 0:  # down to the leaf that the ray enters first
+            near_child, far_child = first[node], first[node] + 1
+            near, far = _entry(boxes, near_child, ray, nearest), _entry(boxes, far_child, ray, nearest)
+            if far < near:
+                near, far, near_child, far_child = far, near, far_child, near_child
             if far < nearest:
-                stack[waiting, 0], stack[waiting, 1] = 2 * left + 1 - near_child, far
-                waiting += 1
-            if near < nearest:
-                stack[waiting, 0], stack[waiting, 1] = near_child, near
-                waiting += 1
+                waiting.node[number], waiting.entry_m[number] = far_child, far
+                number += 1
+            node = near_child if near < nearest else -1
+        if node < 0:
             continue
         for n in range(first[node], first[node] + held[node]):
-            along = _met(tree.sides_m[n], ray)
+            along = _met(tree.sides_m, n, ray)
             if along < nearest:
                 nearest, found = along, n
     if found < 0:
@@ -240,20 +269,21 @@ def first_hit(tree: RayTree, ray: Ray, farthest_m: float, stack: FloatArray) -> 
 
 
 @inlined_kernel
-def _met(sides: FloatArray, ray: Ray) -> float:
+def _met(sides: FloatArray, n: int, ray: Ray) -> float:
     """Return the range at which a ray meets a triangle from its outer side, m; inf if it does not.
 
     Args:
-        sides: first corner and two sides from it, shape (3, 3), m.
+        sides: ``RayTree.sides_m``.
+        n: index of the triangle there.
         ray: the ray.
     """
-    ax, ay, az = sides[1, 0], sides[1, 1], sides[1, 2]
-    bx, by, bz = sides[2, 0], sides[2, 1], sides[2, 2]
+    ax, ay, az = sides[n, 1, 0], sides[n, 1, 1], sides[n, 1, 2]
+    bx, by, bz = sides[n, 2, 0], sides[n, 2, 1], sides[n, 2, 2]
     px, py, pz = ray.y * bz - ray.z * by, ray.z * bx - ray.x * bz, ray.x * by - ray.y * bx
     det = ax * px + ay * py + az * pz
     if not det > 0.0:  # seen from behind, or edge-on
         return np.inf
-    sx, sy, sz = ray.origin_m[0] - sides[0, 0], ray.origin_m[1] - sides[0, 1], ray.origin_m[2] - sides[0, 2]
+    sx, sy, sz = ray.from_x - sides[n, 0, 0], ray.from_y - sides[n, 0, 1], ray.from_z - sides[n, 0, 2]
     u = sx * px + sy * py + sz * pz
     qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
     v = ray.x * qx + ray.y * qy + ray.z * qz
@@ -264,25 +294,46 @@ def _met(sides: FloatArray, ray: Ray) -> float:
 
 
 @inlined_kernel
-def _entry(boxes: Float32Array, node: int, ray: Ray, inverse: FloatArray, nearest: float) -> float:
+def _entry(boxes: Float32Array, node: int, ray: Ray, nearest: float) -> float:
     """Return the range at which a ray enters a node's box, m; inf if it does not before ``nearest``.
 
     Args:
         boxes: ``RayTree.boxes_m``.
         node: index of the node.
         ray: the ray.
-        inverse: one over the components of its direction, shape (3,).
         nearest: range of the nearest triangle so far, m.
     """
-    ax = (boxes[node, 0] - ray.origin_m[0]) * inverse[0]
-    bx = (boxes[node, 3] - ray.origin_m[0]) * inverse[0]
-    ay = (boxes[node, 1] - ray.origin_m[1]) * inverse[1]
-    by = (boxes[node, 4] - ray.origin_m[1]) * inverse[1]
-    az = (boxes[node, 2] - ray.origin_m[2]) * inverse[2]
-    bz = (boxes[node, 5] - ray.origin_m[2]) * inverse[2]
+    ax, bx = (boxes[node, 0] - ray.from_x) * ray.per_x, (boxes[node, 3] - ray.from_x) * ray.per_x
+    ay, by = (boxes[node, 1] - ray.from_y) * ray.per_y, (boxes[node, 4] - ray.from_y) * ray.per_y
+    az, bz = (boxes[node, 2] - ray.from_z) * ray.per_z, (boxes[node, 5] - ray.from_z) * ray.per_z
     begin = max(min(ax, bx), min(ay, by), min(az, bz), 0.0)
     end = min(max(ax, bx), max(ay, by), max(az, bz), nearest)
     return begin if begin <= end else np.inf
+
+
+@kernel
+def silhouette_m2(tree: RayTree, lines: FloatArray) -> float:
+    """Return the mean area of a mesh's silhouette over all directions, m2.
+
+    It is the share of random lines through a sphere around the mesh that meet the mesh, times the area of
+    the sphere's own silhouette (A. Cauchy and M. W. Crofton; L. A. Santalo, Integral Geometry and Geometric
+    Probability, 2004, section III.14).
+
+    Args:
+        tree: the mesh.
+        lines: even samples in [0, 1) that give a direction and a place each, shape (N, 4).
+    """
+    box, waiting, met = tree.boxes_m[0].astype(np.float64), no_nodes(), 0
+    centre, radius_m = 0.5 * (box[:3] + box[3:]), 0.5 * np.sqrt(((box[3:] - box[:3]) ** 2).sum())
+    for n in range(lines.shape[0]):
+        z, turn, place = 2.0 * lines[n, 0] - 1.0, 2.0 * np.pi * lines[n, 1], 2.0 * np.pi * lines[n, 2]
+        flat, beside_m = np.sqrt(1.0 - z * z), radius_m * np.sqrt(lines[n, 3])
+        along = np.array((flat * np.cos(turn), flat * np.sin(turn), z))
+        across = np.array((-np.sin(turn), np.cos(turn), 0.0))
+        up = np.array((-z * np.cos(turn), -z * np.sin(turn), flat))
+        origin = centre - radius_m * along + beside_m * (np.cos(place) * across + np.sin(place) * up)
+        met += first_hit(tree, ray(origin, along[0], along[1], along[2]), waiting).triangle >= 0
+    return float(np.pi * radius_m**2 * met / lines.shape[0])
 
 
 @kernel
@@ -305,14 +356,13 @@ def cast_tree(  # noqa: PLR0917
         triangle: output, shape (rows, columns).
     """
     rays, box = grid.components, tree.boxes_m[0]
-    origin, centre, radius2 = np.empty(3), t.copy(), 0.0
+    origin, centre, radius2, waiting = np.empty(3), t.copy(), 0.0, no_nodes()
     for k in range(3):
         origin[k] = -(R[0, k] * t[0] + R[1, k] * t[1] + R[2, k] * t[2])
         middle, half = 0.5 * (box[k] + box[3 + k]), 0.5 * (box[3 + k] - box[k])
         radius2 += half * half
         for i in range(3):
             centre[i] += R[i, k] * middle
-    stack = np.empty((DEPTH + 1, 3))
     beyond = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius2
     for i in range(triangle.shape[0]):
         for j in range(triangle.shape[1]):
@@ -321,22 +371,22 @@ def cast_tree(  # noqa: PLR0917
             range_m[i, j], triangle[i, j] = np.inf, -1
             if beyond > 0.0 and (along <= 0.0 or along * along < beyond):
                 continue
-            hit = first_hit(tree, ray_in_target(R, origin, x, y, z), np.inf, stack)
+            hit = first_hit(tree, _in_target(R, origin, x, y, z), waiting)
             range_m[i, j], triangle[i, j] = hit.range_m, hit.triangle
 
 
 @inlined_kernel
-def ray_in_target(R: FloatArray, origin: FloatArray, x: float, y: float, z: float) -> Ray:
-    """Return a ray in target axes, from its components in sensor axes.
+def _in_target(R: FloatArray, origin: FloatArray, x: float, y: float, z: float) -> Ray:
+    """Return a ray, from its unit components in sensor axes.
 
     Args:
         R: R_sensor_target, shape (3, 3).
         origin: position of the sensor, target axes, shape (3,), m.
-        x: first component of the unit ray, sensor axes.
+        x: first component.
         y: second component.
         z: third component.
     """
-    return Ray(
+    return ray(
         origin,
         R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
         R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,

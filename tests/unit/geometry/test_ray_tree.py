@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_geometry.ray_tree import DEPTH, Ray, cast_tree, first_hit, ray_tree
+from rpod_geometry.ray_tree import cast_tree, first_hit, no_nodes, ray, ray_tree, silhouette_m2
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.poses import make_pose
 from rpod_target import load_target
@@ -40,7 +40,16 @@ def test_a_ray_from_within_the_bounds_meets_what_lies_ahead_of_it():
 @pytest.mark.parametrize(("from_z", "seen"), [(-5.0, True), (5.0, False)])
 def test_a_triangle_is_met_from_its_outer_side_only(from_z, seen):
     corners = np.array([[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
-    ray = Ray(np.array((0.2, 0.2, from_z)), 0.0, 0.0, -np.sign(from_z))
-    hit = first_hit(ray_tree(corners), ray, np.inf, np.empty((DEPTH + 1, 3)))
+    down = ray(np.array((0.2, 0.2, from_z)), np.float64(0.0), np.float64(0.0), -np.sign(from_z))
+    with np.errstate(divide="ignore"):
+        hit = first_hit(ray_tree(corners), down, no_nodes())
     assert (hit.triangle == 0) == seen
     assert hit.range_m == (pytest.approx(5.0) if seen else np.inf)
+
+
+def test_the_mean_silhouette_of_a_convex_body_is_a_quarter_of_its_surface():
+    triangles_m = load_target("hexagonal-body").triangles_m
+    sides = triangles_m[:, 1:] - triangles_m[:, :1]
+    surface_m2 = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
+    lines = np.random.default_rng(1).random((20_000, 4))
+    assert silhouette_m2(ray_tree(triangles_m), lines) == pytest.approx(0.25 * surface_m2, rel=0.02)
