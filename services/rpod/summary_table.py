@@ -83,7 +83,9 @@ def _measured_rows(summary: Summary) -> list[tuple[str, str]]:
 def _message_row(summary: Summary) -> tuple[str, str]:
     missed = sum(frame.missed for frame in summary.frames.values())
     published = sum(frame.published for frame in summary.frames.values())
-    return "messages", f"{published} published, {missed} missed by the log"
+    unreadable = sum(sum(reasons.values()) for reasons in summary.unreadable.values())
+    told = f", {unreadable} cannot be read (the report says why)" * bool(unreadable)
+    return "messages", f"{published} published, {missed} missed by the log{told}"
 
 
 def _handover(handover: Handover) -> str:

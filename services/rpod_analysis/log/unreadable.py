@@ -11,7 +11,7 @@ import numpy as np
 
 from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.topics import is_latched
+from rpod_schemas.topics import VALIDITY, is_latched
 
 if TYPE_CHECKING:
     from rpod_analysis.log.log import Log, Logged
@@ -114,8 +114,8 @@ class StampCheck:
     def peek(self, logged: "Logged") -> int | None:
         """Return the checked stamp of a message that begins with one, None for a message of another type.
 
-        A latched message with the stamp 0 has none: in lockstep a sensor announces itself before the clock
-        runs.
+        The stamp 0 is none in two cases: in lockstep a sensor announces itself (latched) before the clock
+        runs, and a validity before the first estimate has no estimate whose stamp it could have.
 
         Raises:
             MessageRejectedError: the stamp is missing, or it cannot belong to this log.
@@ -123,7 +123,7 @@ class StampCheck:
         if not is_known(logged.type) or not begins_with_stamp(logged.type):
             return None
         stamp_ns = peek_stamp(logged.payload)
-        if stamp_ns == 0 and is_latched(logged.topic):
+        if stamp_ns == 0 and (is_latched(logged.topic) or logged.type == VALIDITY.type):
             return None
         return self.check(logged, stamp_ns)
 

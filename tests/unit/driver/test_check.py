@@ -28,7 +28,7 @@ from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 
 SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
-"""Seeds of each fault; ten with RPOD_FAULT_SEEDS=10, as in docs/results.md."""
+"""Seeds of each fault; ten with RPOD_FAULT_SEEDS=10, as in docs/results/drivers.md."""
 BESIDE_TRUTH = ("stamp_start", "biased", "mirrored", "mount_off")
 """Faults of a camera that show only beside truth."""
 OF_CAMERA = [fault.name for fault in FAULTS if "pmd" in fault.kinds and fault.name not in BESIDE_TRUTH]

@@ -64,3 +64,8 @@ def test_a_single_stamp_of_another_year_is_refused(years, words):
 def test_a_sensors_info_from_before_the_clock_runs_has_no_stamp():
     info = Message("lidar/info", "rpod_msgs/msg/LidarInfo", WALL_NS, 0)
     assert StampCheck(Log(info)).peek(info) is None
+
+
+def test_a_validity_before_the_first_estimate_has_no_stamp():
+    validity = Message("estimate/validity", "rpod_msgs/msg/EstimateValidity", WALL_NS, 0)
+    assert StampCheck(Log(validity)).peek(validity) is None
