@@ -6,6 +6,7 @@ take long to import (emulators, compiled methods, libraries of devices) are name
 ``module:attribute``, which the process that needs them imports.
 """
 
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
@@ -32,9 +33,11 @@ class UnknownNameError(SchemaError):
     """Raised for a name that no installed package provides."""
 
     def __init__(self, group: str, name: str, known: tuple[str, ...]) -> None:
+        meant = get_close_matches(name, known, n=1)
+        guess = f" (did you mean {meant[0]!r}?)" if meant else ""
         listed = ", ".join(known) or "none (rpod itself provides some: install it again, as make setup does)"
         super().__init__(
-            f"no installed package provides {name!r} in {group}, known are {listed}; "
+            f"no installed package provides {name!r}{guess} in {group}, known are {listed}; "
             "install the package that provides it into this environment"
         )
 

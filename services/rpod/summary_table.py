@@ -5,6 +5,9 @@ from rich.table import Table
 
 from rpod_schemas.summary import ErrorSummary, Handover, Summary
 
+_MANY = 0.1
+"""Unused frames of a sensor, over the used ones, from which on their reason is printed."""
+
 
 def print_summary(summary: Summary, console: Console) -> None:
     """Print the summary that an operator needs first: tracking, errors, lost data."""
@@ -47,10 +50,21 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             f"{estimates.accepted} accepted, {estimates.rejected} rejected, {estimates.dropped} dropped, "
             f"{estimates.unscored} unscored",
         ),
+        *_unused_rows(summary),
         *_measured_rows(summary),
         *((f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()),
         _message_row(summary),
     ]
+
+
+def _unused_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return a row for each sensor of which more than a tenth of the frames was not used, with a reason."""
+    rows = []
+    for sensor, frames in summary.inputs.items():
+        for how, unused in frames.not_used.items():
+            if unused.frames > _MANY * frames.used:
+                rows.append((f"{sensor}, {how}", f"{unused.frames} frames; the last one: {unused.last}"))
+    return rows
 
 
 def _measured_rows(summary: Summary) -> list[tuple[str, str]]:
@@ -75,8 +89,9 @@ def _measured_rows(summary: Summary) -> list[tuple[str, str]]:
     if summary.integrity:
         told = summary.integrity
         misleading = "-" if told.misleading is None else str(told.misleading)
+        alerts = f"{told.alerts} alert{'s' * (told.alerts != 1)}"
         within = f"available {_percent(told.availability)}"
-        rows.append(("integrity", f"{misleading} misleading, {told.alerts} alerts, {within}"))
+        rows.append(("integrity", f"{misleading} misleading, {alerts}, {within}"))
     return rows
 
 
@@ -89,17 +104,13 @@ def _message_row(summary: Summary) -> tuple[str, str]:
 
 
 def _handover(handover: Handover) -> str:
-    jump = (
-        "jump unknown"
-        if handover.jump_m is None or handover.jump_deg is None
-        else f"jump {1e3 * handover.jump_m:.1f} mm, {handover.jump_deg:.2f} deg"
-    )
+    change = ""
     if handover.change_m is not None and handover.change_deg is not None:
-        jump = (
-            f"change {1e3 * handover.change_m:.1f} mm, {handover.change_deg:.2f} deg, "
-            f"beyond the covariance {jump}"
-        )
-    return f"{handover.count} between sensors, gap {handover.gap_s:.2f} s, {jump}"
+        change = f"; change {1e3 * handover.change_m:.1f} mm, {handover.change_deg:.2f} deg"
+    jump = "jump unknown"
+    if handover.jump_m is not None and handover.jump_deg is not None:
+        jump = f"jump beyond the covariance {1e3 * handover.jump_m:.1f} mm, {handover.jump_deg:.2f} deg"
+    return f"{handover.count} between sensors, gap {handover.gap_s:.2f} s{change}; {jump}"
 
 
 def _target_rows(summary: Summary) -> list[tuple[str, str]]:

@@ -100,6 +100,7 @@ def draft(
         told += sections.told
         out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
         target = load_target(out, cache=cache)
+        told += _keep(kept, out)
     except BaseException:
         if kept is None:
             out.unlink(missing_ok=True)
@@ -107,6 +108,15 @@ def draft(
             out.write_bytes(kept)
         raise
     return Draft(out, target, (*told, *target.repairs))
+
+
+def _keep(before: bytes | None, out: Path) -> list[str]:
+    """Keep the file that another text replaced, since it may have been corrected by hand; say so."""
+    if before is None or before == out.read_bytes():
+        return []
+    kept = out.with_name(f"{out.name}.bak")
+    kept.write_bytes(before)
+    return [f"the file that was there before is kept as {kept}"]
 
 
 def _read(cad: Path, told: list[str]) -> MeshFile:
@@ -134,9 +144,7 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
     if not longest > 0.0:
         raise TargetError(cad, "", "contains no triangle with an area greater than zero")
     if options.units is not None and options.units not in METRES:
-        raise TargetError(
-            "rpod target new", "--units", f"is {options.units!r}, known are {', '.join(METRES)}"
-        )
+        raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
     by_unit = None if options.units is None else METRES[options.units]
     if by_unit is None and options.longest_side_m is None and cad.suffix.lower() in METRIC:
         told.append("the format is in metres")
@@ -150,8 +158,8 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
             )
         return scale
     if by_unit is None:
-        reason = f"is missing: the longest side is {longest:.4g} units of the file, which does not say which"
-        raise TargetError(cad, "--units", f"{reason}; or give --longest-side-m")
+        reason = f"is missing, and the file does not state its unit; its longest side is {longest:.4g} units"
+        raise TargetError(cad, "--units", f"{reason}: {_usual(longest)}; or give --longest-side-m")
     if not usual_size(by_unit * longest) and not options.confirmed_size:
         raise TargetError(cad, "--units", _other_units(by_unit, longest))
     return by_unit
@@ -159,17 +167,21 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
 
 def _other_units(by_unit: float, longest: float) -> str:
     """Return why a size is refused, with the units that would give a usual one."""
+    return (
+        f"makes the target's longest side {by_unit * longest:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m "
+        f"are usual: {_usual(longest)}; or give --longest-side-m; if the size is right, give --confirm-size, "
+        "which writes confirmed_size: true"
+    )
+
+
+def _usual(longest: float) -> str:
+    """Return the usual sizes that a longest side has with the units, in words."""
     usual = [
         f"{scale * longest:.3g} m with {name}"
         for name, scale in METRES.items()
         if usual_size(scale * longest)
     ]
-    others = f"it is {', '.join(usual)}; " if usual else ""
-    return (
-        f"makes the target's longest side {by_unit * longest:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m "
-        f"are usual: {others}or give --longest-side-m; if the size is right, give --confirm-size, which "
-        "writes confirmed_size: true"
-    )
+    return f"it is {', '.join(usual)}" if usual else "no unit makes it usual"
 
 
 class _Sections:

@@ -1,11 +1,13 @@
 """Base of every configuration: strict models, and files whose errors name the wrong field."""
 
+import reprlib
 import tomllib
 from collections.abc import Sequence
 from copy import deepcopy
+from difflib import get_close_matches
 from itertools import chain, islice
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -25,6 +27,10 @@ _PATTERNS = {
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
 }
 """Requirement on a text in words, by its pattern."""
+_UNKNOWN = "extra_forbidden"
+"""Pydantic's name of the error that a field is not known."""
+_MOST_NAMED = 3
+"""Number of further wrong fields that an error names."""
 
 
 class Config(BaseModel):
@@ -110,19 +116,61 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        problem, *others = _problems(error)
-        field = ".".join(str(part) for part in problem["loc"])
-        reason = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "string_pattern_mismatch":
-            needs = _PATTERNS.get(problem.get("ctx", {}).get("pattern", ""), reason)
-            reason = f"is {problem['input']!r}; {needs}"
-        if problem["type"] == "extra_forbidden":
-            reason = "is not a known field; check its spelling and its place"
-            if _is_tuning(model, document, problem["loc"]):
-                place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
-                reason = f"is a tuning field now: write it as {place}"
-        more = len(others)
-        raise ConfigurationError(source, field, reason + (f" (and {more} more)" if more else "")) from error
+        problem, *others = sorted(_problems(error), key=lambda each: each["type"] != _UNKNOWN)
+        reason = _reason(model, document, problem)
+        if others:
+            named = [_place(each["loc"]) for each in others[:_MOST_NAMED]] + ["..."] * (
+                len(others) > _MOST_NAMED
+            )
+            reason += f" (and {len(others)} more: {', '.join(named)})"
+        raise ConfigurationError(source, _place(problem["loc"]), reason) from error
+
+
+def _place(location: Sequence[int | str]) -> str:
+    return ".".join(str(part) for part in location)
+
+
+def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str:
+    """Return why a field is refused, with its value and the remedy."""
+    reason, location, value = problem["msg"], problem["loc"], problem["input"]
+    if problem["type"] == "missing":
+        return "is missing; this field has no default"
+    if problem["type"] == "string_pattern_mismatch":
+        needs = _PATTERNS.get(problem.get("ctx", {}).get("pattern", ""), reason)
+        return f"is {value!r}; {needs}"
+    if problem["type"] == _UNKNOWN:
+        if _is_tuning(model, document, location):
+            return f"is a tuning field now: write it as {_place((*location[:-1], 'tuning', location[-1]))}"
+        meant = get_close_matches(str(location[-1]), _fields(model, location[:-1]), n=1)
+        guess = f"did you mean {meant[0]}?" if meant else "check its spelling and its place"
+        return f"is not a known field; {guess}"
+    if problem["type"] == "union_tag_invalid":
+        told = problem["ctx"]
+        return f"{told['discriminator']} is {told['tag']!r}; it must be one of {told['expected_tags']}"
+    if problem["type"] == "union_tag_not_found":
+        return f"{problem['ctx']['discriminator']} is missing; it tells what kind this is"
+    _, should, needs = reason.partition(" should ")
+    if should and isinstance(value, bool | int | float | str):
+        return f"is {reprlib.repr(value)}; it must {needs}"
+    return reason.removeprefix("Value error, ")
+
+
+def _fields(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
+    """Return the names of the fields that the models at a place of a document have."""
+    models = [model]
+    for part in location:
+        holders = [each for each in models if part in each.model_fields]
+        if holders:  # otherwise an index of a list, or a kind that tells the models of a union apart
+            annotations = [each.model_fields[str(part)].annotation for each in holders]
+            models = [found for annotation in annotations for found in _models(annotation)]
+    return [name for each in models for name in each.model_fields]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models in an annotation, such as those of a list or a union."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models(part)]
 
 
 def _problems(error: ValidationError) -> list[ErrorDetails]:

@@ -1,5 +1,6 @@
 """The scenarios that are shipped with rpod, and the search for a scenario by name or file."""
 
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 
@@ -27,4 +28,8 @@ def find(name: str) -> Scenario:
         return load(Scenario, files[name])
     if Path(name).suffix in (".yaml", ".yml", ".toml", ".json"):
         return load(Scenario, Path(name))
-    raise ConfigurationError("scenario", name, f"not known; known are {', '.join(files)}, or give a file")
+    meant = get_close_matches(name, files, n=1)
+    guess = f" (did you mean {meant[0]}?)" if meant else ""
+    raise ConfigurationError(
+        "scenario", name, f"is not known{guess}; give one of {', '.join(files)}, or the path of a YAML file"
+    )

@@ -79,6 +79,8 @@ def check_command(
     as_json: bool,
 ) -> int:
     """Check a target and draw it; return the exit code."""
+    if not as_json:
+        print("building the target, then trying all methods on emulated frames ...", file=sys.stderr)
     try:
         target = _target(file, units=units, longest_side_m=longest_side_m)
         found = check_target(target, trials=trials)
@@ -115,10 +117,10 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
 
 def _print(found: TargetCheck, console: Console) -> None:
     sides = " x ".join(f"{side:.4g}" for side in found.size.sides_m)
-    parts, field = len(found.parts), found.distance_field
+    parts, materials, field = len(found.parts), len(found.materials), found.distance_field
     console.print(
         f"{found.name}: {sides} m, {found.triangles} triangles, {parts} part{'s' * (parts != 1)}, "
-        f"{len(found.materials)} materials; distance field {field.megabytes:.0f} MB, "
+        f"{materials} material{'s' * (materials != 1)}; distance field {field.megabytes:.0f} MB, "
         f"{field.spacing_m:.3g} m spacing",
         soft_wrap=True,
     )
@@ -145,6 +147,11 @@ def _print(found: TargetCheck, console: Console) -> None:
     console.print(_accuracy(found))
     console.print(_methods(found))
     for each in found.methods:
+        if each.total.unseen:
+            text = (
+                f"{each.total.unseen} of {each.total.frames} frames show too little of the target to be tried"
+            )
+            console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True, markup=False)
         if each.reason:
             console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
 
@@ -157,14 +164,14 @@ def _methods(found: TargetCheck) -> Table:
         padding=(0, 1, 0, 0),
     )
     table.add_column("method", no_wrap=True)
-    for name in ("frames", "unseen", "right", "ambig.", "refused", "wrong", "deg", "mm", "ms"):
-        table.add_column(name, justify="right")
+    for name in ("right", "ambig.", "refused", "wrong", "deg", "mm", "ms"):
+        table.add_column(name, justify="right", no_wrap=True)
     for each in found.methods:
         all_ = each.total
-        counts = (all_.frames, all_.unseen, all_.right, all_.ambiguous, all_.refused, all_.wrong)
         table.add_row(
             f"{each.sensor}.{each.name}{'*' * each.default}",
-            *(str(count) for count in counts),
+            f"{all_.right} of {all_.frames - all_.unseen}",
+            *(str(count) for count in (all_.ambiguous, all_.refused, all_.wrong)),
             "-" if all_.attitude_deg is None else f"{all_.attitude_deg:.2g}",
             "-" if all_.position_m is None else f"{1e3 * all_.position_m:.2g}",
             "-" if each.median_ms is None else f"{each.median_ms:.0f}",

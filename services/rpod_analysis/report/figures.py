@@ -73,7 +73,7 @@ def error_figure(plot_data: PlotData) -> go.Figure:
             reach = _reach(axis.values, sigma.values)
             figure.update_yaxes(range=[-reach, reach], row=row, col=col)
         for row in range(1, 5):
-            figure.update_yaxes(title_text=f"error [{unit}]", row=row, col=col)
+            figure.update_yaxes(title_text=f"error [{unit}]", exponentformat="none", row=row, col=col)
             draw_faults(figure, plot_data, row=row, col=col, named=row == 1)
         figure.update_yaxes(rangemode="tozero", row=1, col=col)
         figure.update_xaxes(title_text="time [s]", row=4, col=col)

@@ -51,7 +51,7 @@ def headline(summary: Summary, totals: RunTotals) -> str:
         facts.append(f"Acquired after {modes.first_tracking_s:.2f} s")
         if modes.tracked_time_share is not None:
             facts.append(f"tracked {_percent(modes.tracked_time_share)} of the time")
-            facts.append(f"at most {modes.longest_untracked_s or 0.0:.2f} s without a track")
+            facts.append(f"at most {round(modes.longest_untracked_s or 0.0, 2):g} s without a track")
     if totals.worst_deg and totals.worst_m:
         facts.append(
             f"worst errors {totals.worst_deg.value:.2f}° (at {totals.worst_deg.time_s:.1f} s) "

@@ -112,6 +112,11 @@ def test_two_packages_that_bring_one_name_are_an_error(entries):
         names(SENSORS)
 
 
+def test_a_misspelt_name_gets_the_nearest_known_one():
+    with pytest.raises(UnknownNameError, match="did you mean 'lidar'"):
+        sensor_kind("lidr")
+
+
 def test_an_environment_without_entry_points_is_told_to_install_again(entries):
     entries()
     with pytest.raises(UnknownNameError, match="install it again"):

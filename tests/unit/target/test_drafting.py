@@ -61,8 +61,8 @@ def test_the_longest_side_decides_over_the_unit_and_that_is_told(cad: Path, cach
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (DraftOptions(), "--units: is missing: the longest side is 4 units"),
-        (DraftOptions(units="inch"), "--units: is 'inch', known are m, dm, cm"),
+        (DraftOptions(), "--units: is missing, .* longest side is 4 units: it is 4 m with m, 0.4 m with dm"),
+        (DraftOptions(units="inch"), "--units: is 'inch'; it must be one of m, dm, cm"),
         (DraftOptions(units="mm"), "longest side 0.004 m.*4 m with m, 0.4 m with dm.*--confirm-size"),
     ],
 )
@@ -178,3 +178,15 @@ def test_a_cube_has_all_its_thirteen_axes(tmp_path: Path, cache: Path) -> None:
     made = draft(tmp_path / "cube.obj", tmp_path / "cube.yaml", DraftOptions(units="m"), cache=cache)
     assert sorted(one.order for one in made.target.symmetries) == [2] * 6 + [3] * 4 + [4] * 3
     assert len(made.target.turns(exact=True)) == 23
+
+
+def test_a_file_that_another_text_replaces_is_kept_beside_it(cad: Path, cache: Path) -> None:
+    out = cad.with_suffix(".yaml")
+    first = draft(cad, out, DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    again = draft(cad, out, DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    assert not any("kept as" in text for text in (*first.told, *again.told))
+    by_hand = out.read_text() + "# corrected by hand\n"
+    out.write_text(by_hand)
+    made = draft(cad, out, DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    assert any("sat.yaml.bak" in text for text in made.told)
+    assert out.with_name("sat.yaml.bak").read_text() == by_hand

@@ -204,7 +204,7 @@ def replaced(document: dict[str, Any], field: str, value: Any) -> dict[str, Any]
         ("parts.0.shape", MISSING, "parts.0", "shape"),
         ("parts", [], "parts", "at least 1"),
         ("colour", "red", "colour", "is not a known field"),
-        ("name", MISSING, "name", "Field required"),
+        ("name", MISSING, "name", "is missing"),
         ("inertia_kg_m2", MISSING, "inertia_kg_m2", "mass_kg or density_kg_m3"),
         ("centre_of_mass_m", MISSING, "centre_of_mass_m", "mass_kg or density_kg_m3"),
         ("materials.paint.diffuse", 1.5, "materials.paint.diffuse", "less than or equal to 1"),
