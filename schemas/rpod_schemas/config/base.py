@@ -132,27 +132,30 @@ def _place(location: Sequence[int | str]) -> str:
 
 def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str:
     """Return why a field is refused, with its value and the remedy."""
-    reason, location, value = problem["msg"], problem["loc"], problem["input"]
-    if problem["type"] == "missing":
-        return "is missing; this field has no default"
-    if problem["type"] == "string_pattern_mismatch":
-        needs = _PATTERNS.get(problem.get("ctx", {}).get("pattern", ""), reason)
-        return f"is {value!r}; {needs}"
-    if problem["type"] == _UNKNOWN:
-        if _is_tuning(model, document, location):
-            return f"is a tuning field now: write it as {_place((*location[:-1], 'tuning', location[-1]))}"
-        meant = get_close_matches(str(location[-1]), _fields(model, location[:-1]), n=1)
-        guess = f"did you mean {meant[0]}?" if meant else "check its spelling and its place"
-        return f"is not a known field; {guess}"
-    if problem["type"] == "union_tag_invalid":
-        told = problem["ctx"]
-        return f"{told['discriminator']} is {told['tag']!r}; it must be one of {told['expected_tags']}"
-    if problem["type"] == "union_tag_not_found":
-        return f"{problem['ctx']['discriminator']} is missing; it tells what kind this is"
+    reason, value, told = problem["msg"], problem["input"], problem.get("ctx", {})
     _, should, needs = reason.partition(" should ")
-    if should and isinstance(value, bool | int | float | str):
-        return f"is {reprlib.repr(value)}; it must {needs}"
+    if problem["type"] == _UNKNOWN:
+        reason = _unknown(model, document, problem["loc"])
+    elif problem["type"] == "missing":
+        reason = "is missing; this field has no default"
+    elif problem["type"] == "union_tag_not_found":
+        reason = f"{told['discriminator']} is missing; it tells what kind this is"
+    elif problem["type"] == "union_tag_invalid":
+        reason = f"{told['discriminator']} is {told['tag']!r}; it must be one of {told['expected_tags']}"
+    elif problem["type"] == "string_pattern_mismatch":
+        reason = f"is {value!r}; {_PATTERNS.get(told.get('pattern', ''), reason)}"
+    elif should and isinstance(value, bool | int | float | str):
+        reason = f"is {reprlib.repr(value)}; it must {needs}"
     return reason.removeprefix("Value error, ")
+
+
+def _unknown(model: type[BaseModel], document: Any, location: Sequence[int | str]) -> str:
+    """Return what to do about a field that is not known: its new place, or the nearest known name."""
+    if _is_tuning(model, document, location):
+        return f"is a tuning field now: write it as {_place((*location[:-1], 'tuning', location[-1]))}"
+    meant = get_close_matches(str(location[-1]), _fields(model, location[:-1]), n=1)
+    guess = f"did you mean {meant[0]}?" if meant else "check its spelling and its place"
+    return f"is not a known field; {guess}"
 
 
 def _fields(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
