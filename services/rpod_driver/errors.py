@@ -21,8 +21,8 @@ class WrongKindError(DriverError):
 
     def __init__(self, kind: str, delivered: object) -> None:
         super().__init__(
-            f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}; deliver what this kind has "
-            "(pmd: PmdFrame, lidar: LidarScan), or correct kind"
+            f"kind is {kind!r}, but the driver delivers {type(delivered).__name__}; deliver what this "
+            "kind has (pmd: PmdFrame, lidar: LidarScan), or correct kind"
         )
 
 

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
@@ -46,6 +47,9 @@ class CampaignGroup(TyperGroup):
         from rpod_campaign.catalogue import names, options_of
 
         if cmd_name not in names():
+            meant = get_close_matches(cmd_name, names(), n=1)
+            if meant and cmd_name not in self.commands:
+                ctx.fail(f"No such command {cmd_name!r}. Did you mean {meant[0]!r}?")
             return super().get_command(ctx, cmd_name)
         return _verb(cmd_name, options_of(cmd_name))
 

@@ -49,6 +49,11 @@ def test_an_unknown_campaign_is_answered_with_those_that_there_are(tmp_path, cap
     assert "pmd-verdict" in said
 
 
+def test_a_misspelt_campaign_is_answered_with_the_nearest_name():
+    told = CliRunner().invoke(app, ["campaign", "lidar-aquisition"]).output
+    assert "Did you mean 'lidar-acquisition'?" in told
+
+
 def test_the_help_lists_every_campaign_with_its_title():
     told = CliRunner().invoke(app, ["campaign", "--help"], env={"COLUMNS": "100"}).output
     for name in names():
