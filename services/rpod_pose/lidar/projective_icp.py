@@ -25,6 +25,7 @@ from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_registration import (
     CHANCE,
+    RESUMED,
     ScanRegistration,
     is_sure,
     neighbourhood,
@@ -52,8 +53,6 @@ NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
 """Turns about such an axis from the prediction: up to half of the step of the least order."""
 VAGUE_DEG = 3.5
 """Largest standard deviation of a believed turn, deg; an error of 10 deg then has a probability of 0.5 %."""
-RESUMED = 2
-"""Largest number of times that the surroundings of a registration are sampled."""
 MANY = 70
 """Number of informative returns from which on a scan that is as likely as at a right pose determines it: fewer
 leave several optima within some standard deviations."""
@@ -177,18 +176,19 @@ class ProjectiveIcp:
     ) -> tuple[ScanRegistration, SampledPosterior | None]:
         """Return a registration that may have been beside the solution, and the posterior around it.
 
-        Samples around it show what else explains the scan. Where a few of them have all the weight, the
-        registration starts anew from the likeliest, and the posterior is None if that does not help.
+        Samples around it show what else explains the scan. While one of them is likelier, the registration
+        starts anew from there. The posterior is None if a few samples have all the weight.
         """
         for _ in range(RESUMED):
             rough = neighbourhood(found.information, found.pose, self._reach)
             posterior = self.model.posterior(seen, found.pose, rough)
-            if posterior.effective >= SPREAD:
-                return found, posterior
             start = stepped(found.pose, posterior.likeliest)
+            least = _log_likelihood(found) + CHANCE
+            if not self.model.fit(seen, *start).log_likelihood > least:
+                return found, posterior if posterior.effective >= SPREAD else None
             other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
-            if not _log_likelihood(other) > _log_likelihood(found) + CHANCE:
-                break
+            if not _log_likelihood(other) > least:
+                return found, posterior if posterior.effective >= SPREAD else None
             found = other
         return found, None
 

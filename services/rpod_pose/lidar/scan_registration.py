@@ -49,6 +49,8 @@ STRAIGHT = 0.125
 STRETCHES = np.array([1.1, 3.0])
 """Factors on the standard deviations of a pose with which its neighbourhood is sampled: the first is that of
 Student's distribution which resembles a normal one most, the second reaches what else explains the scan."""
+RESUMED = 4
+"""Largest number of times that the surroundings of a pose are sampled."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 

@@ -11,7 +11,15 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, neighbourhood, reach_of, settled
+from rpod_pose.lidar.scan_registration import (
+    CHANCE,
+    RESUMED,
+    Reach,
+    aligned,
+    neighbourhood,
+    reach_of,
+    settled,
+)
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
@@ -321,12 +329,21 @@ class ScanSearch:
         return Pose(*found.pose, fit, found.information)
 
     def _sampled(self, pose: Pose) -> Pose:
-        """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely."""
+        """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely.
+
+        While a sample is likelier, the pose is refined from there, and its surroundings are sampled anew.
+        """
         if not self.seen.range_m.any():
             return pose
-        statistics, start = self._scanner.statistics, PoseArrays(pose.R, pose.t)
-        rough = neighbourhood(pose.information, start, self._scanner.reach)
-        found = statistics.posterior(self.seen, start, rough)
+        statistics = self._scanner.statistics
+        for _ in range(RESUMED):
+            start = PoseArrays(pose.R, pose.t)
+            rough = neighbourhood(pose.information, start, self._scanner.reach)
+            found = statistics.posterior(self.seen, start, rough)
+            refined = self._outline_refined(self._unrefined(*stepped(start, found.likeliest)))
+            if not refined.fit.log_likelihood > pose.fit.log_likelihood + CHANCE:
+                break
+            pose = refined
         mean, fit, covariance = statistics.mean(self.seen, start, found)
         information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
         return Pose(*mean, ScanFit.of(fit), information, found.log_mass)
