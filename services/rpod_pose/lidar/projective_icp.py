@@ -2,7 +2,9 @@
 
 A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
 steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
-outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
+outline determines it (``outline``). Where returns are few, or the scan is less likely than at a right pose,
+the pose becomes the mean of the posterior, by samples of its surroundings (``posterior``). The likelihood of
+the scan at the pose is the self-check (``scan_fit``).
 
 A body that is nearly one of revolution has many optima about its axis, since few rays meet the details that
 tell the turn. The likelihood is therefore evaluated at turns about such an axis. The likeliest is taken, and
@@ -54,8 +56,8 @@ NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
 VAGUE_DEG = 3.5
 """Largest standard deviation of a believed turn, deg; an error of 10 deg then has a probability of 0.5 %."""
 MANY = 70
-"""Number of informative returns from which on a scan that is as likely as at a right pose determines it: fewer
-leave several optima within some standard deviations."""
+"""Number of informative returns from which on a scan that is as likely as at a right pose determines it.
+Fewer leave several optima within some standard deviations."""
 
 
 class ProjectiveIcp:

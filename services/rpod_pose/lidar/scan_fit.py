@@ -234,7 +234,6 @@ class ScanModel:
         found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
         return found
 
-
     def mean(
         self, seen: SeenScan, pose: PoseArrays, posterior: SampledPosterior
     ) -> tuple[PoseArrays, ScanStatistics, FloatArray]:

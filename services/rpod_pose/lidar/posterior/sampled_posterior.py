@@ -3,10 +3,11 @@
 Few returns leave several optima of the likelihood within some degrees, of which none is much likelier than
 the others. The mean, the covariance and the mass of the posterior near a pose are therefore computed from
 samples of it. The first rounds draw from rough distributions that are given, each further one from Student's
-distribution with the mean and the covariance of the rounds before it. All samples are weighted by the likelihood over the mixture of all rounds' distributions (adaptive
-multiple importance sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance
-Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples have nearly all the weight,
-the next round follows a power of the weights below 1.
+distribution with the mean and the covariance of the rounds before it. All samples are weighted by the
+likelihood over the mixture of all rounds' distributions (adaptive multiple importance sampling, J.-M.
+Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance Sampling, Scandinavian Journal of
+Statistics 39, 2012). As long as a few samples have nearly all the weight, the next round follows a power of
+the weights below 1.
 """
 
 from functools import cache
