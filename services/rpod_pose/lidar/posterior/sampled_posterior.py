@@ -2,11 +2,12 @@
 
 Few returns leave several optima of the likelihood within some degrees, of which none is much likelier than
 the others. The mean, the covariance and the mass of the posterior near a pose are therefore computed from
-samples of it. Each round draws from Student's distribution with the mean and the covariance of the rounds
-before it. All samples are weighted by the likelihood over the mixture of all rounds' distributions (adaptive
-multiple importance sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance
-Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples have nearly all the weight,
-the next round follows a power of the weights below 1.
+samples of it. The first rounds draw from rough distributions that are given, each further one from Student's
+distribution with the mean and the covariance of the rounds before it. All samples are weighted by the
+likelihood over the mixture of all rounds' distributions (adaptive multiple importance sampling, J.-M.
+Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance Sampling, Scandinavian Journal of
+Statistics 39, 2012). As long as a few samples have nearly all the weight, the next round follows a power of
+the weights below 1.
 """
 
 from functools import cache
@@ -34,13 +35,16 @@ OF_POSE = 6
 """Number of unknowns of a pose."""
 HALVINGS = 20
 """Number of bisections for the power of the weights."""
+IMPOSSIBLE = -1e9
+"""Log likelihood of a step that turns by more than half a turn: a shorter one leads to the same attitude."""
 
 
 class Proposal(NamedTuple):
-    """Distribution from which the samples of the first round are drawn."""
+    """Distributions from which the samples of the first rounds are drawn."""
 
-    covariance: FloatArray
-    """Rough covariance of (dtau, dtheta), rather too large, shape (6, 6)."""
+    covariances: FloatArray
+    """A rough covariance of (dtau, dtheta) for each of these rounds, shape (K, 6, 6); the last one is rather
+    too large."""
     steps: FloatArray
     """``draws``."""
 
@@ -84,21 +88,25 @@ def sampled_posterior(
         start: pose of the target in the sensor.
         rays: rays, target and buffers.
         assumed: statistics of returns.
-        proposal: what the samples of the first round are drawn from.
+        proposal: what the samples of the first rounds are drawn from.
     """
-    covariance, steps = proposal
+    covariances, steps = proposal
     rounds, samples = steps.shape[0], steps.shape[1]
     total = rounds * samples
     x, logs, mixture = np.empty((total, 6)), np.empty(total), np.zeros(total)
     means, roots = np.zeros((rounds, 6)), np.zeros((rounds, 6, 6))
-    mean, spread, least = np.zeros(6), covariance.copy(), 1e-6 * np.diag(np.diag(covariance))
+    mean, spread, least = np.zeros(6), covariances[0], 1e-6 * np.diag(np.diag(covariances[-1]))
     weights, effective, known = np.zeros(total), 0.0, 0
     for number in range(rounds):
+        if number < covariances.shape[0]:
+            mean, spread = np.zeros(6), covariances[number]
         means[number], roots[number] = mean, np.linalg.cholesky(spread + least)
         for n in range(samples):
-            x[known + n] = mean + roots[number] @ steps[number, n]
-            moved = stepped(start, x[known + n])
-            logs[known + n] = scan_agreement(range_m, moved.R, moved.t, rays, assumed).log_likelihood
+            step = mean + roots[number] @ steps[number, n]
+            x[known + n], logs[known + n] = step, IMPOSSIBLE
+            if (step[3:] ** 2).sum() <= pi * pi:
+                moved = stepped(start, step)
+                logs[known + n] = scan_agreement(range_m, moved.R, moved.t, rays, assumed).log_likelihood
         for before in range(number):
             _add_density(mixture[known : known + samples], x[known:], means[before], roots[before])
         known += samples
@@ -109,7 +117,7 @@ def sampled_posterior(
         mean, spread = _moments(x[:known], weights)
         weights = _weights(ratios, 1.0)
         effective = _effective(weights)
-        if effective >= ENOUGH:
+        if effective >= ENOUGH and number + 1 >= covariances.shape[0]:
             break
     if effective >= SPREAD:
         mean, spread = _moments(x[:known], weights)
