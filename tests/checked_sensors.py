@@ -20,12 +20,13 @@ from rpod_driver.check import Observations, Observer, Options, Verdict, judge
 from rpod_driver.check.surface import Surface
 from rpod_runtime import Received
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.messages import write_odometry, write_status
 from rpod_schemas.poses import chained, make_pose, rotation_of
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import ESTIMATE, STATUS, TRUTH, Topic
 from rpod_schemas.types import (
     Camera,
@@ -35,7 +36,6 @@ from rpod_schemas.types import (
     PmdFrame,
     PmdInfo,
 )
-from rpod_schemas.wire import Attachment
 from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator

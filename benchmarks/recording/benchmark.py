@@ -17,13 +17,13 @@ from mcap.reader import make_reader
 from rpod import __version__
 from rpod_runtime import Node, Publisher, QueryFailedError
 from rpod_runtime.bus.session import free_endpoint
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import COMPLETENESS, COUNTS, Completeness, check_completeness
 from rpod_schemas.messages import write_camera, write_image, write_odometry
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, CHASER, DEPTH, PHASE, TARGET, TRUTH, Topic
 from rpod_schemas.types import Odometry
 

@@ -179,11 +179,13 @@ _add_service(
     "estimator", "rpod_schemas.config.estimator:EstimatorConfig", "Estimate poses from sensor messages."
 )
 _add_service(
-    "logger", "rpod_schemas.config.logger:LoggerConfig", "Record everything on the bus into MCAP files."
+    "logger",
+    "rpod_schemas.config.facility.logger:LoggerConfig",
+    "Record everything on the bus into MCAP files.",
 )
 _add_service(
     "proxy",
-    "rpod_schemas.config.proxy:ProxyConfig",
+    "rpod_schemas.config.facility.proxy:ProxyConfig",
     "Pass links of services on to the router, with faults on request.",
 )
 
@@ -222,7 +224,7 @@ def view(
 ) -> None:
     """Show the facility or a log: images, scene, errors, state."""
     from rpod.command_view import view_log
-    from rpod_schemas.config.view import ViewConfig
+    from rpod_schemas.config.facility.view import ViewConfig
 
     changes = {"target": target, "bind": bind, "token_file": token_file, "save": save}
     changes["viewer"] = None if web is None else "web" if web else "native"
@@ -230,7 +232,7 @@ def view(
     if logs:
         raise typer.Exit(view_log(logs, config=config, changes=given, start_s=start, end_s=end))
     from rpod_view import daemon
-    from rpod_view.scheduling import lower_priority
+    from rpod_view.viewer.scheduling import lower_priority
 
     lower_priority()
     _serve(

@@ -28,8 +28,8 @@ from rpod_schemas.logs import (
     TopicCount,
     shortfalls,
 )
+from rpod_schemas.rmw.wire import UNNUMBERED
 from rpod_schemas.topics import Namespace
-from rpod_schemas.wire import UNNUMBERED
 
 _NOTHING = Endings()
 _MOST_PUBLISHERS = 10_000

@@ -11,8 +11,8 @@ from rpod.play.facility import configure
 from rpod.play.fault_player import FaultPlayer
 from rpod.scenarios import find
 from rpod_runtime.errors import RefusedError
+from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
 from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.faults.injected import read_faults

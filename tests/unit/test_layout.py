@@ -13,15 +13,21 @@ COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 
 CROWDED = 15
 """Most modules of a folder in which a reader still finds a file."""
-BUSY = {"rpod_pose", "rpod_campaign", "rpod_analysis", "rpod_runtime", "rpod"}
-ROOMS = sorted({file.parent for file in SOURCES if BUSY & set(file.relative_to(ROOT).parts)})
+ROOMS = sorted({file.parent for file in SOURCES})
+LONG = 400
+"""Most lines of a module that a reader still surveys."""
 NO_CODE = {"rpod_msgs"}
 """Definitions of messages, which import nothing."""
 
 
 @pytest.mark.parametrize("folder", ROOMS, ids=lambda folder: str(folder.relative_to(ROOT)))
-def test_no_folder_of_a_large_package_is_crowded(folder):
+def test_no_folder_is_crowded(folder):
     assert len(list(folder.glob("*.py"))) <= CROWDED
+
+
+def test_no_module_is_long():
+    lines = {str(file.relative_to(ROOT)): file.read_text("utf-8").count("\n") for file in SOURCES}
+    assert not {name: number for name, number in lines.items() if number > LONG}
 
 
 def test_every_package_stands_in_the_contract_of_layers():

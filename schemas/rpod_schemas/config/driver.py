@@ -6,8 +6,8 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, field_validator, m
 
 from rpod_schemas.config.base import Name, Positive
 from rpod_schemas.config.mount_calibration import Mount
+from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind

@@ -4,7 +4,6 @@
 the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.
 """
 
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.messages.geometry import (
     read_odometry,
     read_pose,
@@ -47,6 +46,7 @@ from rpod_schemas.messages.info import (
 )
 from rpod_schemas.messages.joints import read_joints, write_joints
 from rpod_schemas.messages.points import read_points, time_field, write_points
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 __all__ = [
     "NANOSECONDS",

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from rpod_schemas.cdr import message_class
 from rpod_schemas.messages.header import build, read_stamp, write_header
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import LidarInfo, PmdInfo
 
 

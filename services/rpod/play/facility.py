@@ -8,11 +8,11 @@ from typing import Any, Literal
 from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
-from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.config.proxy import ProxiedLink, ProxyConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
+from rpod_schemas.config.facility.proxy import ProxiedLink, ProxyConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig, TimeSource
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 
 Speed = Literal["1", "max"]

@@ -13,8 +13,8 @@ from rich.table import Table
 from rpod_analysis.target_check import TargetCheck, check_target, judged_symmetries, write_page
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_target import Target, TargetError, load_target
-from rpod_target.drafting import METRES, Draft, DraftOptions, draft
-from rpod_target.mesh_files import FORMATS, METRIC
+from rpod_target.drafting.draft import METRES, Draft, DraftOptions, draft
+from rpod_target.mesh.files import FORMATS, METRIC
 
 
 def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: bool) -> int:

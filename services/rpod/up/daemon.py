@@ -21,7 +21,7 @@ from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.process.notify import IN_RESERVE
 from rpod_runtime.process.processes import end_process
 from rpod_runtime.process.reserve import RESERVE
-from rpod_schemas.config.facility import BackoffConfig
+from rpod_schemas.config.facility.hosts import BackoffConfig
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,6 @@ from mcap.writer import CompressionType, Writer
 from rpod_analysis.log import Log, Logged
 from rpod_logger.writer import qos_profile
 from rpod_pose.navigation.state import Output
-from rpod_schemas.cdr import definition, encode, type_hash
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import logged
 from rpod_schemas.logs import (
@@ -33,6 +32,7 @@ from rpod_schemas.messages import (
     write_pose_stamped,
     write_status,
 )
+from rpod_schemas.rmw.cdr import definition, encode, type_hash
 from rpod_schemas.topics import (
     ESTIMATE,
     ESTIMATE_FRAME,

@@ -14,7 +14,7 @@ from pathlib import Path
 from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.bodies import LoggedBodies
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive

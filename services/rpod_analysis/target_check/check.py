@@ -12,8 +12,8 @@ from rpod_analysis.target_check.likeness import judged_symmetries
 from rpod_analysis.target_check.trials import MethodFacts, try_methods
 from rpod_pose.registration.closest_point import Surface
 from rpod_target import Target
+from rpod_target.mesh.topology import areas_m2
 from rpod_target.symmetry import FoundSymmetry
-from rpod_target.topology import areas_m2
 
 _LISTED = 20
 """Number of openings and edges that are listed one by one, the longest."""

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.streams import stream
 from rpod_pose.measurement import Measurement
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame

@@ -22,8 +22,8 @@ from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Acquisition
 from rpod_schemas.config.emulator import WorldName
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
-from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
 

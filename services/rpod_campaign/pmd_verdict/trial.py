@@ -29,7 +29,7 @@ from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods, Outcome
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import SunConfig
-from rpod_schemas.config.pmd_check import PmdCheckConfig
+from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target

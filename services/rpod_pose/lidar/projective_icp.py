@@ -40,7 +40,7 @@ from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel, LidarScan, Source
 from rpod_target import Target

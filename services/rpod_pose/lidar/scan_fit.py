@@ -36,7 +36,7 @@ from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.config.lidar.search import ScanModelConfig, ScanVerdictConfig
 
 LEAST_DEVIATION = 3.0
 """Least standard deviation of a deficit, for scans in which almost nothing is random."""

@@ -21,7 +21,7 @@ from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Float32Array
 

@@ -36,7 +36,7 @@ from rpod_pose.navigation.filter.blocks import averaged
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
 

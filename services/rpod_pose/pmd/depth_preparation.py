@@ -25,8 +25,8 @@ from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 

@@ -21,7 +21,7 @@ from rpod_pose.search.even_samples import sobol
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionTuning
+from rpod_schemas.config.pmd.search import PmdAcquisitionTuning
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 

@@ -17,7 +17,7 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.depth_view import DepthView, downsampled
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdSceneConfig
+from rpod_schemas.config.pmd.search import PmdSceneConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 DARKEST_PERCENT = 2.0

@@ -45,7 +45,7 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.node import Node
 from rpod_runtime.sensor_data.shuffled import compressed
-from rpod_schemas.config.thinned import ThinnedConfig
+from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
 from rpod_schemas.messages import NANOSECONDS, write_camera, write_image
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, Topic, optical_frame
 from rpod_schemas.types import PmdFrame

@@ -12,7 +12,7 @@ from rpod_analysis.target_check.likeness import judged_symmetries
 from rpod_analysis.target_check.trials import error_of
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
-from rpod_target.drafting import DraftOptions, draft
+from rpod_target.drafting.draft import DraftOptions, draft
 from rpod_target.symmetry import FoundSymmetry
 
 

@@ -7,9 +7,9 @@ from rpod_runtime.delivery.flow import Flow
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_runtime.sensor_data.thinning import Pace, ThinnedCamera
-from rpod_schemas.cdr import decode, encode
-from rpod_schemas.config.thinned import ThinnedConfig
+from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
 from rpod_schemas.messages import read_camera, read_image, read_stamp
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.types import Camera, PmdFrame
 
 SECOND_NS = 1_000_000_000

@@ -8,7 +8,7 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import METHODS, SENSORS, RegistryError, UnknownNameError, names, resolve
 from rpod_schemas.sensors import method, methods, sensor_kind, sensor_kinds
@@ -98,7 +98,7 @@ def test_the_schema_of_an_estimator_describes_every_installed_kind_and_method():
 def test_an_entry_of_the_wrong_type_or_without_a_module_names_its_package(entries):
     entries(
         EntryPoint("broken", "no_such_module:KIND", SENSORS),
-        EntryPoint("odd", "rpod_schemas.config.pmd_joint:JointConfig", SENSORS),
+        EntryPoint("odd", "rpod_schemas.config.pmd.joint:JointConfig", SENSORS),
     )
     with pytest.raises(RegistryError, match=r"broken.*cannot be loaded"):
         sensor_kind("broken")

@@ -19,7 +19,7 @@ from rpod_analysis.replay.navigate import configured_estimator, estimator_output
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, ESTIMATE, STATUS, TRUTH

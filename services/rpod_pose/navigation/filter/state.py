@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed
 from rpod_pose.navigation.filter.rotations import exponential, orthonormal
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
 from rpod_target.equivalence import with_variance_about

@@ -14,7 +14,7 @@ import numpy as np
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.pose_measurement import MOUNT
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
 COMPONENTS = ("x_m", "y_m", "z_m", "about_x_deg", "about_y_deg", "about_z_deg")
 """Components of an offset and their units, chaser axes."""

@@ -3,7 +3,7 @@
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.frame_check import Contradictions
 from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd_joint import JointTuning
+from rpod_schemas.config.pmd.joint import JointTuning
 
 
 def frame_belief(

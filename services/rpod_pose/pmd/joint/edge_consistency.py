@@ -4,7 +4,7 @@ import math
 
 from rpod_pose.ports import PartSolution
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_joint import JointVerdictConfig
+from rpod_schemas.config.pmd.joint import JointVerdictConfig
 
 
 def edges_in_place(limits: JointVerdictConfig, *, edges: int, expected: float, checked: int) -> float:

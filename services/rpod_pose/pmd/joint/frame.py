@@ -15,7 +15,7 @@ from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
+from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16

@@ -63,7 +63,7 @@ from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target

@@ -13,7 +13,7 @@ import numpy as np
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import Edges
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import LineMatchConfig
+from rpod_schemas.config.pmd.amplitude import LineMatchConfig
 
 REFITS = 2
 ALIGNED = np.cos(np.deg2rad(25.0))

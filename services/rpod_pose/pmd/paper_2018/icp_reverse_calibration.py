@@ -39,7 +39,7 @@ from rpod_pose.registration.normal_equations import (
     no_sums,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
+from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig
 from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 

@@ -17,7 +17,7 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import EdgeImage, bent
 from rpod_pose.pmd.paper_2018.wireframe_view import plane_axes
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import CircleConfig
+from rpod_schemas.config.pmd.amplitude import CircleConfig
 from rpod_schemas.types import Float32Array
 from rpod_target.outlines import Disc
 

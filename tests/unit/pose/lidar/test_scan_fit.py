@@ -14,7 +14,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
-from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.config.lidar.search import ScanModelConfig, ScanVerdictConfig
 from rpod_schemas.poses import make_pose, pose_of
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.worlds import world_of

@@ -2,7 +2,7 @@ import pytest
 from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd_joint import JointTuning, JointVerdictConfig
+from rpod_schemas.config.pmd.joint import JointTuning, JointVerdictConfig
 
 LIMITS = JointVerdictConfig(
     min_edge_share=0.5, min_points=40, min_edges=40, bias_sigmas=2.0, scale_share=0.004
