@@ -54,7 +54,7 @@ class Kill:
     lost_s: float
     """Truth that no file holds, s, where the logger was killed; 0 of the others."""
     wrong: tuple[str, ...]
-    """Statements of completeness that do not agree with what happened."""
+    """Records of completeness that do not agree with what happened."""
 
 
 class Watch:
@@ -188,7 +188,7 @@ class Desk:
         ) / _TRUTH_HZ
 
     def _judge(self, *, killed: str) -> Iterator[str]:
-        """Yield the statements of the closed files that do not agree with what happened to them."""
+        """Yield the closed files' records of completeness that do not agree with what happened."""
         for path in self._files()[:-1]:
             if path not in self._judged:
                 self._judged.add(path)
@@ -241,7 +241,7 @@ def judge(path: Path, *, killed: str) -> Iterator[str]:
     Args:
         path: a file that is not written any more.
         killed: the service that was killed while it was written, empty if none was. A killed logger leaves a
-            file without a statement; the next one begins after the kill, and nothing is missing in it.
+            file without a record of completeness; the next one begins after the kill, and misses nothing.
     """
     try:
         with path.open("rb") as stream:

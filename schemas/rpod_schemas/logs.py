@@ -36,7 +36,7 @@ REPLAY = "replay"
 RECOVERY = "recovery"
 """Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
 COMPLETENESS = "completeness"
-"""Record of the fields of ``Completeness``, the file's own statement; only in a file that was closed."""
+"""Record of the fields of ``Completeness``, the file's own record; only in a file that was closed."""
 
 BUS = "bus"
 """Record of the fields of ``BusRecord``: outages, and ends of publishers; only in a file that was closed."""
@@ -230,21 +230,21 @@ def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) ->
 
 
 def check_completeness(
-    statement: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
+    record: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
 ) -> Completeness:
-    """Check a closed file's statement of completeness against its counts and its messages.
+    """Check a closed file's record of completeness against its counts and its messages.
 
     Args:
-        statement: the record ``COMPLETENESS``, empty if there is none.
+        record: the record ``COMPLETENESS``, empty if there is none.
         counts: the record ``COUNTS``, empty if there is none.
         messages: number of messages in the file, by the channel's topic (MCAP's statistics).
 
     Returns:
-        The statement; each inconsistency is added to its reasons and makes it incomplete.
+        The record; each inconsistency is added to its reasons and makes it incomplete.
 
     Raises:
         ValueError: a record holds something else.
     """
-    said = Completeness.of_record(statement)
+    said = Completeness.of_record(record)
     account = {topic: TopicCount.model_validate_json(text) for topic, text in counts.items()}
-    return said.with_reasons(shortfalls(account, messages) if statement else ())
+    return said.with_reasons(shortfalls(account, messages) if record else ())

@@ -1,4 +1,4 @@
-"""Whether a log's statement is true: who ends, when and how, against what the publisher itself counted."""
+"""Whether a log's record of completeness is true, whoever ends: it is compared with the publisher's count."""
 
 import json
 import secrets

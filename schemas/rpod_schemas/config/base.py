@@ -101,6 +101,10 @@ def _check_size(document: Any, path: Path) -> None:
     raise ConfigurationError(path, "", _TOO_DEEP)
 
 
+RENAMED = {"thinned": "reduced_rate", "verdict": "acceptance"}
+"""Present names of fields of configuration files by the names that they had."""
+
+
 def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     """Validate a document against a model.
 
@@ -118,6 +122,8 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
             reason = f"is {problem['input']!r}; {needs}"
         if problem["type"] == "extra_forbidden":
             reason = "is not a known field; check its spelling and its place"
+            if name := RENAMED.get(str(problem["loc"][-1])):
+                reason = f"is called {name} now: write it so"
             if _is_tuning(model, document, problem["loc"]):
                 place = ".".join(str(part) for part in (*problem["loc"][:-1], "tuning", problem["loc"][-1]))
                 reason = f"is a tuning field now: write it as {place}"

@@ -39,6 +39,7 @@ from rpod_schemas.messages.images import (
 )
 from rpod_schemas.messages.imu import read_imu, write_imu
 from rpod_schemas.messages.info import (
+    read_info,
     read_lidar_info,
     read_pmd_info,
     write_lidar_info,
@@ -58,6 +59,7 @@ __all__ = [
     "read_diagnostics",
     "read_image",
     "read_imu",
+    "read_info",
     "read_integrity",
     "read_joints",
     "read_lidar_info",

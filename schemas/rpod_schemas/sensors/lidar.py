@@ -18,6 +18,7 @@ LIDAR = SensorKind(
     publisher="rpod_runtime.sensors:LidarPublisher",
     emulator="rpod_emulator.lidar:LidarChannel",
     methods="rpod_pose.lidar.methods:LIDAR_METHODS",
+    checks="rpod_driver.check.kinds:LIDAR_CHECKS",
 )
 
 GLOBAL = Method("lidar", "acquisition", GlobalSearchConfig, "rpod_pose.lidar.methods:global_search")

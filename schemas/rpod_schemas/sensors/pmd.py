@@ -25,6 +25,8 @@ PMD = SensorKind(
     publisher="rpod_runtime.sensors:CameraPublisher",
     emulator="rpod_emulator.pmd:PmdChannel",
     methods="rpod_pose.pmd.methods:PMD_METHODS",
+    checks="rpod_driver.check.kinds:PMD_CHECKS",
+    reduced_rate="rpod_runtime.sensor_data.reduced_rate:ReducedRateCamera",
 )
 
 VIEW_SEARCH = Method("pmd", "acquisition", PmdAcquisitionConfig, "rpod_pose.pmd.methods:view_search")

@@ -15,7 +15,7 @@ from rpod_schemas.types.estimates import (
     Mode,
     Source,
 )
-from rpod_schemas.types.frames import LENS_COEFFICIENTS, Camera, FrameImage, SensorFrame
+from rpod_schemas.types.frames import LENS_COEFFICIENTS, Camera, FrameImage, SensorFrame, SensorInfo
 from rpod_schemas.types.health import CLOSING, PUBLISHED, SYNC, Diagnostic, Health, SensorSync
 from rpod_schemas.types.lidar import LidarInfo, LidarScan
 from rpod_schemas.types.motion import ImuReading, Joints, Odometry
@@ -50,6 +50,7 @@ __all__ = [
     "PmdFrame",
     "PmdInfo",
     "SensorFrame",
+    "SensorInfo",
     "SensorSync",
     "Source",
     "Stamped",

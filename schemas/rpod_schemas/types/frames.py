@@ -83,3 +83,25 @@ class SensorFrame(Stamped):
     def returns_m(self) -> Float32Array:
         """Points for display, sensor axes, shape (N, 3), m."""
         return np.zeros((0, 3), np.float32)
+
+    @property
+    def grid_m(self) -> Float32Array | None:
+        """Points by row and column of the scan pattern, m, shape (rows, columns, 3); None without one."""
+        return None
+
+    @property
+    def range_image_m(self) -> Float32Array | None:
+        """Distance of each pixel or ray, m, shape (rows, columns), 0 where there is none; None without one.
+
+        That of a camera's pixel is its z-depth.
+        """
+        return None
+
+
+class SensorInfo(Model):
+    """What a sensor says of itself; a kind adds its data."""
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of an exposure or a scan, s; 0 if the sensor does not state it."""
+        return 0.0

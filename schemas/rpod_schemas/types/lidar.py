@@ -13,8 +13,8 @@ from rpod_schemas.bounds import (
     ElevationsRad,
     bounded,
 )
-from rpod_schemas.types.base import Float32Array, Floats, Image, Model
-from rpod_schemas.types.frames import SensorFrame
+from rpod_schemas.types.base import Float32Array, Floats, Image
+from rpod_schemas.types.frames import SensorFrame, SensorInfo
 
 
 class LidarScan(SensorFrame):
@@ -47,13 +47,26 @@ class LidarScan(SensorFrame):
         return self.points_m.ndim == 3
 
     @property
+    def grid_m(self) -> Float32Array | None:
+        """Points by row and column, NaN for rays without a return; None if the scan is not organised."""
+        return self.points_m if self.organised else None
+
+    @property
+    def range_image_m(self) -> Float32Array | None:
+        """Range of each ray, 0 without a return; None if the scan is not organised."""
+        if not self.organised:
+            return None
+        range_m = np.linalg.norm(self.points_m, axis=-1)
+        return np.where(np.isfinite(range_m), range_m, 0.0).astype(np.float32)
+
+    @property
     def returns_m(self) -> Float32Array:
         """Points that are returns, m, shape (N, 3): finite, and not the origin, which means no return."""
         points = self.points_m.reshape(-1, 3)
         return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
-class LidarInfo(Model):
+class LidarInfo(SensorInfo):
     """Info of a LIDAR (LidarInfo.msg)."""
 
     azimuth_rad: AzimuthsRad
@@ -62,6 +75,11 @@ class LidarInfo(Model):
     scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
     rows_are_elevation: bool = True
     sigma_range_m: Annotated[float, bounded(SIGMA_RANGE_M)]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of a scan."""
+        return self.scan_time_s
 
     @model_validator(mode="after")
     def _directions_fit_into_memory(self) -> Self:

@@ -15,11 +15,11 @@ from rpod_schemas.bounds import (
     SATURATION_COUNT,
     bounded,
 )
-from rpod_schemas.types.base import Floats, Image, Model
-from rpod_schemas.types.frames import Camera, FrameImage, SensorFrame
+from rpod_schemas.types.base import Float32Array, Floats, Image
+from rpod_schemas.types.frames import Camera, FrameImage, SensorFrame, SensorInfo
 
 
-class PmdInfo(Model):
+class PmdInfo(SensorInfo):
     """Info of a PMD camera (PmdInfo.msg)."""
 
     modulation_frequency_hz: Annotated[VectorN, bounded(MODULATION_FREQUENCY_HZ)]
@@ -28,6 +28,11 @@ class PmdInfo(Model):
     integration_time_s: Annotated[float, bounded(INTEGRATION_TIME_S)]
     electrons_per_count: Annotated[float, bounded(ELECTRONS_PER_COUNT)]
     saturation_count: Annotated[float, bounded(SATURATION_COUNT)]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of an exposure."""
+        return self.integration_time_s
 
     @field_validator("modulation_frequency_hz")
     @classmethod
@@ -40,7 +45,11 @@ class PmdInfo(Model):
 
 
 class PmdFrame(SensorFrame):
-    """One exposure of a PMD camera; ``frame_id`` is the optical frame."""
+    """One exposure of a PMD camera; ``frame_id`` is the optical frame.
+
+    It has a depth image always. A camera that sends amplitudes alone is of another kind, and one that sends
+    raw samples alone needs a driver that makes depth of them.
+    """
 
     depth_m: Floats
     """z-depth, m, shape (height, width); NaN for pixels without depth."""
@@ -71,6 +80,11 @@ class PmdFrame(SensorFrame):
         return (
             (depth,) if self.amplitude is None else (depth, FrameImage("amplitude", self.amplitude, "grey"))
         )
+
+    @property
+    def range_image_m(self) -> Float32Array:
+        """Z-depth of each pixel; 0 for pixels without depth."""
+        return np.where(self.depth_m > 0.0, self.depth_m, np.float32(0.0))
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:

@@ -43,8 +43,11 @@ class CampaignGroup(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a campaign's verb; None if no campaign has the name."""
-        from rpod_campaign.catalogue import names, options_of
+        from rpod_campaign.catalogue import RENAMED, names, options_of
 
+        if cmd_name in RENAMED:
+            typer.echo(f"{cmd_name} is called {RENAMED[cmd_name]} now", err=True)
+            cmd_name = RENAMED[cmd_name]
         if cmd_name not in names():
             return super().get_command(ctx, cmd_name)
         return _verb(cmd_name, options_of(cmd_name))

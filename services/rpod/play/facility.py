@@ -54,7 +54,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 **_settings(scenario),
             ),
             "logger": LoggerConfig(
-                bus=bus, directory=directory, name=scenario.name, record_extra=_thinned(scenario, bus)
+                bus=bus, directory=directory, name=scenario.name, record_extra=_reduced_rate(scenario, bus)
             ),
         },
         supervisor=ServiceConfig(
@@ -123,10 +123,10 @@ def _with_proxy(facility: Facility, scenario: Scenario) -> Facility:
     return replace(facility, services=services, proxy=proxy)
 
 
-def _thinned(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
-    """Return the keys of the cameras' thinned streams, which are recorded too."""
-    thinned = {sensor.name: getattr(sensor, "thinned", None) for sensor in scenario.sensors}
-    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in thinned.items() if each)
+def _reduced_rate(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
+    """Return the keys of the sensors' streams of reduced rate, which are recorded too."""
+    configs = {sensor.name: getattr(sensor, "reduced_rate", None) for sensor in scenario.sensors}
+    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in configs.items() if each)
 
 
 def _settings(scenario: Scenario) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def _recorded(summary: Summary) -> Iterator[Check]:
         more = f" and {_count(len(stated.reasons) - 1, 'other reason')}" if len(stated.reasons) > 1 else ""
         answer = "complete, by its own record" if stated.complete else first + more
     complete = stated.complete if stated else None
-    yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
+    yield Check("Completeness", answer, "the log's own record, checked against its content", complete)
 
 
 def _readable(summary: Summary) -> Check:

@@ -82,7 +82,7 @@ class ProjectiveIcp:
         self._model_error = ModelError.of(target)
         self.model = ScanModel(
             tuning.model,
-            tuning.verdict,
+            tuning.acceptance,
             self.view,
             self.surface,
             sigma_range_m=pattern.sigma_range_m,

@@ -36,7 +36,7 @@ from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar.search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
 LEAST_DEVIATION = 3.0
 """Least standard deviation of a deficit, for scans in which almost nothing is random."""
@@ -78,7 +78,7 @@ class ScanModel:
 
     Args:
         config: assumptions about the scans.
-        verdict: limits within which a pose explains a scan.
+        acceptance: limits within which a pose explains a scan.
         view: rays of the scan pattern.
         surface: model of the target.
         sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
@@ -88,21 +88,21 @@ class ScanModel:
     def __init__(
         self,
         config: ScanModelConfig,
-        verdict: ScanVerdictConfig,
+        acceptance: ScanAcceptanceConfig,
         view: ScanView,
         surface: SurfaceModel,
         *,
         sigma_range_m: float = 0.0,
         tolerance_m: float = 0.0,
     ) -> None:
-        self._view, self._verdict = view, verdict
+        self._view, self._acceptance = view, acceptance
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
         self._uneven_m = hypot(_UNEVEN * self.sigma_range_m, tolerance_m)
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
         radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
         self.assumed = _assumptions(config, self.sigma_range_m, radius_m)
-        worse = config.model_copy(update=dict(verdict.pessimistic))
+        worse = config.model_copy(update=dict(acceptance.pessimistic))
         self._pessimistic = _assumptions(worse, self.sigma_range_m, radius_m)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
@@ -194,10 +194,10 @@ class ScanModel:
         }
 
     def _explains(self, evidence: Mapping[str, float]) -> bool:
-        verdict = self._verdict
+        acceptance = self._acceptance
         return (
-            evidence["deficit_sigmas"] <= verdict.max_deficit
-            and evidence["disagreeing_share"] <= verdict.inconsistent_share
+            evidence["deficit_sigmas"] <= acceptance.max_deficit
+            and evidence["disagreeing_share"] <= acceptance.inconsistent_share
         )
 
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:

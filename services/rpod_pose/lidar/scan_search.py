@@ -96,8 +96,8 @@ class Scanner:
         radius_m: float,
     ) -> Self:
         """Return the scanner of a view; the sigma of a range is 0 if the sensor does not state it."""
-        model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
-        statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
+        model, acceptance = config.tracking.tuning.model, config.tracking.tuning.acceptance
+        statistics = ScanModel(model, acceptance, view, surface, sigma_range_m=sigma_range_m)
         reach = reach_of(view, config.tracking, radius_m)
         return cls(view, ReturnDistances.of(view), statistics, reach)
 

@@ -90,7 +90,7 @@ class PmdFrames:
 
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
         """Return the z-depth of each pixel, as measured: gate and background are of this."""
-        return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))
+        return frame.range_image_m
 
 
 def _unmixed(amplitude: Array, kept: NDArray[np.bool_], sky: np.uint16) -> Array:

@@ -134,7 +134,7 @@ class ViewSearch:
         if isinstance(scene, str):
             return Acquisition(Registration.none(Source.NONE, scene))
         if around is None:
-            attitudes = attitudes_of(self._config.attitudes)
+            attitudes = attitudes_of(self._config.tuning.attitudes)
         else:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]

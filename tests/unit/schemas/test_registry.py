@@ -31,7 +31,8 @@ def entries(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("kind", sensor_kinds(), ids=lambda kind: kind.name)
 def test_everything_that_a_kind_refers_to_is_there(kind):
-    for reference in (kind.reader, kind.publisher, kind.emulator, kind.methods):
+    needed = (kind.reader, kind.publisher, kind.emulator, kind.methods)
+    for reference in (*needed, *filter(None, (kind.checks, kind.reduced_rate))):
         assert resolve(reference) is not None
     assert kind.emulated.model_fields["kind"].default == kind.heard.model_fields["kind"].default == kind.name
     assert {topic.name for topic in kind.topics} <= {topic.name for topic in TOPICS}
@@ -86,7 +87,10 @@ def test_a_driver_is_of_a_known_kind():
 
 
 def test_an_acquisition_without_a_kind_is_the_default():
-    assert PmdInput.model_validate({"acquisition": {"attitudes": 100}}).acquisition.kind == "view_search"
+    assert (
+        PmdInput.model_validate({"acquisition": {"tuning": {"attitudes": 100}}}).acquisition.kind
+        == "view_search"
+    )
 
 
 def test_the_schema_of_an_estimator_describes_every_installed_kind_and_method():

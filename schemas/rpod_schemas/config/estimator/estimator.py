@@ -98,6 +98,14 @@ class PmdInput(SensorInput):
     tracking: PmdTracking = Field(default_factory=JointConfig)
     """Method that measures the pose from a predicted one; change ``kind`` to compare methods."""
 
+    @property
+    def range_offset_sigma_m(self) -> float:
+        """What the calibration states, else what the joint tracker assumes."""
+        if self.calibration is not None and self.calibration.evidence is not None:
+            return self.calibration.evidence.bias_after_m
+        depth = (self.tracking if isinstance(self.tracking, JointConfig) else JointConfig()).tuning.depth
+        return (depth.raw if self.calibration is None else depth.calibrated).bias_m
+
 
 HeardSensor = Annotated[SensorInput, HEARD]
 """A sensor that the estimator listens to; ``kind`` chooses among the installed ones."""

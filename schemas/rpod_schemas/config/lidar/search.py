@@ -85,7 +85,7 @@ class PessimisticConfig(Tuning):
     """Share of rays whose return, or missing return, carries no information."""
 
 
-class ScanVerdictConfig(Tuning):
+class ScanAcceptanceConfig(Tuning):
     """Limits of likelihood and of agreeing rays within which a pose explains a scan.
 
     The limits must hold with the scan's model or with the pessimistic one, because materials, noise and
@@ -135,7 +135,7 @@ class ProjectiveIcpTuning(Tuning):
     the target's radius."""
     model: ScanModelConfig = ScanModelConfig()
     """Statistics of the scans."""
-    verdict: ScanVerdictConfig = ScanVerdictConfig()
+    acceptance: ScanAcceptanceConfig = ScanAcceptanceConfig()
     """Limits within which a registration explains its scan."""
 
 
@@ -184,7 +184,7 @@ class GlobalSearchTuning(Tuning):
     coarse_steps: Annotated[Count, BUDGET] = 6
     """Number of steps of this alignment, in the distance field, for each candidate."""
     most_returns: Annotated[Count, BUDGET] = 900
-    """Number of returns above which a scan is thinned by rows and columns."""
+    """Number of returns above which rows and columns of a scan are left out."""
     sure_returns: Annotated[Count, BY_HAND] = 60
     """Number of returns, counted as for ``sufficient_returns``, from which on the first candidate that surely
     explains them ends the search: its actual log likelihood exceeds the expected one by ``sure_surplus`` for

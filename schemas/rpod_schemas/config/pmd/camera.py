@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from scipy import constants
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
-from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
+from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.poses import Pose, make_pose
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, PmdInfo
@@ -132,8 +132,9 @@ class PmdConfig(EmulatedSensor):
     """Number of frames per second."""
     T_chaser_sensor: Pose = Field(default_factory=make_pose)
     """Mount: pose of the optical frame in the chaser."""
-    thinned: ThinnedConfig | None = None
-    """Thinner stream for a slow link, beside the full one; faults of the sensor's messages are not in it."""
+    reduced_rate: ReducedRateConfig | None = None
+    """Stream of reduced rate for a slow link, beside the full one. Faults of the sensor's messages
+    are not in it."""
     camera: Camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     """Intrinsics, plumb_bob distortion included: 28.91 x 23.45 deg on 352 x 287 pixels (Table 1)."""
     profile: Literal["fast", "paper", "dual"] = "fast"

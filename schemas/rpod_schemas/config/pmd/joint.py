@@ -95,7 +95,7 @@ class JointEdgeConfig(Tuning):
     """Largest number of samples that count as independent: the errors of neighbours are correlated."""
 
 
-class JointVerdictConfig(Tuning):
+class JointAcceptanceConfig(Tuning):
     """Limits of the edges and of the scale for a pose to be accepted, besides the limits in ``check``."""
 
     min_edge_share: Annotated[
@@ -169,7 +169,7 @@ class JointTuning(Tuning):
     """Search for the edges and their errors."""
     check: PmdCheckConfig = PmdCheckConfig()
     """Limits of the self-check by render and compare."""
-    verdict: JointVerdictConfig = JointVerdictConfig()
+    acceptance: JointAcceptanceConfig = JointAcceptanceConfig()
     """Limits of the self-check by the edges, and least numbers that are conclusive."""
 
     @model_validator(mode="after")
@@ -178,9 +178,9 @@ class JointTuning(Tuning):
             raise ValueError("depth.final_scale_share must not exceed depth.scale_share: the weights narrow")
         if self.edges.final_search_px > self.edges.search_px:
             raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
-        if self.verdict.min_edge_share > self.verdict.weak_edge_share:
+        if self.acceptance.min_edge_share > self.acceptance.weak_edge_share:
             raise ValueError(
-                "verdict.min_edge_share must not exceed verdict.weak_edge_share: "
+                "acceptance.min_edge_share must not exceed acceptance.weak_edge_share: "
                 "a pose between them is doubtful"
             )
         if self.near_iterations > self.iterations:

@@ -1,4 +1,4 @@
-"""A second, thinner stream of a camera for a slow link: fewer frames, each complete, without loss."""
+"""A second stream of a camera for a slow link: fewer frames, each complete, compressed without loss."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ from pydantic import Field
 from rpod_schemas.config.base import Config, Positive
 
 
-class ThinnedConfig(Config):
+class ReducedRateConfig(Config):
     """The stream beside the full one; an estimator beyond the slow link listens to it by its ``source``."""
 
     prefix: str = Field(default="slow", pattern=r"^[A-Za-z][A-Za-z0-9_]*$")

@@ -74,6 +74,9 @@ class PmdModelConfig(Tuning):
 class PmdAcquisitionTuning(Tuning):
     """Numbers of candidates and limits of the search."""
 
+    attitudes: Annotated[Count, BUDGET] = 3000
+    """Number of attitudes, evenly spread over SO(3), that are compared with the frame. The larger it is, the
+    likelier is the right one among them where a target has many similar views."""
     compared: Annotated[Count, BUDGET] = 300
     """Number of the best attitudes that are compared with more of the frame."""
     refined: Annotated[Count, BUDGET] = 36
@@ -145,9 +148,6 @@ class PmdAcquisitionConfig(MethodConfig):
 
     kind: str = "view_search"
     """Selects this method."""
-    attitudes: Count = 3000
-    """Number of attitudes, evenly spread over SO(3), that are compared with the frame. Raise it if the search
-    misses a target with many similar views; the time of a search grows with it."""
     tuning: PmdAcquisitionTuning = PmdAcquisitionTuning()
     """Limits and numbers of the method that are outside the public interface; change them only to study
     it."""

@@ -25,7 +25,7 @@ def frame_belief(
         sigma_m: standard deviation of the camera's bias.
         range_m: distance of the target.
     """
-    limits = tuning.verdict
+    limits = tuning.acceptance
     scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
     evidence = {
         **inconsistent.evidence,

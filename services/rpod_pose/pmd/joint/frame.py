@@ -130,7 +130,7 @@ class JointFrame:
         noise_m = float(np.median(noise)) if len(measured) else 0.0
         trust = _trust(noise, strength, tuning.depth.noise_m)
         whole = max(float(trust.sum()), 1e-12)
-        typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
+        typical = typical if len(measured) >= tuning.acceptance.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is None:
             shade[:] = np.nan

@@ -1,4 +1,4 @@
-"""Options of ``lidar-verdict``."""
+"""Options of ``lidar-acceptance``."""
 
 from typing import ClassVar
 
@@ -7,9 +7,9 @@ from rpod_campaign.lidar.options import LidarOptions, Methods, Steps
 
 
 class Options(LidarOptions):
-    """Verdicts on right and wrong poses."""
+    """Acceptance of right and wrong poses."""
 
-    title: ClassVar[str] = "Verdicts on right and wrong poses"
+    title: ClassVar[str] = "Acceptance of right and wrong poses"
 
     trials: Trials = 200
     target: Names = ("envisat-slim", "envisat-bulky", "envisat-mesh", "mockup", "rocket-stage")

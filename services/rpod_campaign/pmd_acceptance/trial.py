@@ -1,4 +1,4 @@
-"""A trial of the camera's verdicts: are right poses accepted, and frames of other objects rejected?
+"""A trial of the camera's acceptance: are right poses accepted, and frames of other objects rejected?
 
 One random frame, changed or not, is given to both: the acquisition without a guess, and the tracker with an
 error of a degree and a centimetre from the true pose.
@@ -49,7 +49,7 @@ FLIPS: Mapping[str, Flip] = {"": np.asarray, "left-right": np.fliplr, "upside-do
 
 
 @dataclass(frozen=True)
-class VerdictCell:
+class AcceptanceCell:
     """Content of the frames, and the target that is searched."""
 
     case: str
@@ -101,7 +101,7 @@ acquisition's pose is accepted, and then the tracker's pose from there in the sa
 """
 
 
-def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
+def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one frame with any attitude and any direction of the sun."""
     scenario, methods = scenario_of(cell.document), _methods(cell)
     shown = _lit(scenario, cell.sun, stream(seed, trial, _SUN)).model_copy(update={"target": cell.target})
@@ -159,7 +159,7 @@ def _lit(scenario: Scenario, sun: str, generator: Generator) -> Scenario:
     return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"sun": light})})
 
 
-def _spoiled(frame: PmdFrame, cell: VerdictCell) -> PmdFrame:
+def _spoiled(frame: PmdFrame, cell: AcceptanceCell) -> PmdFrame:
     camera, flipped = frame.camera, FLIPS[cell.flip]
     focal = {"fx": cell.focal_share * camera.fx, "fy": cell.focal_share * camera.fy}
     images = {"depth_m": np.ascontiguousarray(flipped(frame.depth_m))}
@@ -183,7 +183,7 @@ def _alike(seen_m: FloatArray, camera: Camera, target: Target, pose: RigidTransf
 
 
 @lru_cache(maxsize=4)
-def _methods(cell: VerdictCell) -> Methods:
+def _methods(cell: AcceptanceCell) -> Methods:
     scenario = scenario_of(cell.document)
     target = cached_target(scenario.target)
     return ready_methods(pmd_input(DEFAULT, name=camera_of(scenario).name), target)

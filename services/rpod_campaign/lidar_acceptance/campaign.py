@@ -1,22 +1,22 @@
-"""``lidar-verdict``: its cells, and the campaign as one object."""
+"""``lidar-acceptance``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.cells import methods, ranges_m, steps_of, targets
-from rpod_campaign.lidar_verdict import trial
-from rpod_campaign.lidar_verdict.options import Options
-from rpod_campaign.lidar_verdict.report import sections, summarise
-from rpod_campaign.lidar_verdict.trial import VerdictCell
+from rpod_campaign.lidar_acceptance import trial
+from rpod_campaign.lidar_acceptance.options import Options
+from rpod_campaign.lidar_acceptance.report import sections, summarise
+from rpod_campaign.lidar_acceptance.trial import AcceptanceCell
 from rpod_target import is_shipped
 
 _OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
 """Targets that are scanned instead: one of another size, and another object."""
 
 
-def cells(options: Options) -> list[VerdictCell]:
+def cells(options: Options) -> list[AcceptanceCell]:
     """Return the cells: each method on scans of the target itself, the global search on others too."""
     return [
-        VerdictCell(
+        AcceptanceCell(
             target=target,
             scanned_target=scanned,
             method=method,
@@ -46,8 +46,8 @@ def _scanned(method: str, target: str) -> tuple[str, ...]:
     return (target, *others) if method == "global" else (target,)
 
 
-CAMPAIGN: Campaign[VerdictCell] = Campaign(
-    name="lidar-verdict",
+CAMPAIGN: Campaign[AcceptanceCell] = Campaign(
+    name="lidar-acceptance",
     options=Options,
     cells=cells,
     trial=trial.run,

@@ -1,7 +1,7 @@
-"""A trial of the verdict: is a right pose accepted, and a wrong one rejected?
+"""A trial of the acceptance: is a right pose accepted, and a wrong one rejected?
 
 Wrong poses come from methods that fail on their own target, and from scans of another object, for which no
-pose is right. The facility's own verdict checks all of them, whatever method found them.
+pose is right. The facility's own check decides on all of them, whatever method found them.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ SCHEMA: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class VerdictCell:
+class AcceptanceCell:
     """A method that searches for a target, and the object that is scanned."""
 
     target: str
@@ -56,7 +56,7 @@ class VerdictCell:
     """Physics of the sensor; the method is not told."""
 
 
-def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
+def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes uniform on SO(3)."""
     emulator, judge = _bench(cell, seed)
     range_m = cell.range_m * size_m(cell.scanned_target) / size_m(REFERENCE)
@@ -72,9 +72,9 @@ def run(cell: VerdictCell, seed: int, trial: int) -> dict[str, Any]:
 
 
 class Judge:
-    """A method, the facility's own verdict on its poses, and single scores of these poses."""
+    """A method, the facility's own check of its poses, and single scores of these poses."""
 
-    def __init__(self, cell: VerdictCell, pattern: ScanPattern) -> None:
+    def __init__(self, cell: AcceptanceCell, pattern: ScanPattern) -> None:
         target = cached_target(cell.target)
         sensor = lidar_input(
             cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour"
@@ -82,17 +82,17 @@ class Judge:
         config = GlobalSearchConfig()
         self._acquirer = methods_of(sensor, target, pattern).acquirer
         self._judges_itself = sensor.acquisition == config
-        self._verdict = GlobalSearch(config, target, pattern)
+        self._check = GlobalSearch(config, target, pattern)
         self._fine = ProjectiveIcp(config.tracking, target, pattern)
         paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
         self._paper = NearestNeighbourIcp(paper, target, pattern)
 
     def judged(self, scan: LidarScan) -> Acquisition:
-        """Return the method's acquisition, with the facility's verdict on it."""
+        """Return the method's acquisition, with the result of the facility's check."""
         found = self._acquirer.acquire(scan)
         if self._judges_itself or found.pose is None:
             return found
-        return self._verdict.verify(scan, found.pose)
+        return self._check.verify(scan, found.pose)
 
     def scores(self, scan: LidarScan, judged: Acquisition) -> dict[str, float | None]:
         """Return f_CONV, m2, and the deficit for each return at the checked pose; None without one."""
@@ -116,6 +116,6 @@ def size_m(target: str) -> float:
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: VerdictCell, seed: int) -> tuple[LidarEmulator, Judge]:
+def _bench(cell: AcceptanceCell, seed: int) -> tuple[LidarEmulator, Judge]:
     lidar = lidar_config()
     return emulator_of(cell.scanned_target, lidar, seed, world=cell.world), Judge(cell, pattern_of(lidar))

@@ -1,4 +1,4 @@
-"""``lidar-verdict``: accepted wrong poses, rejected right ones, and f_MAX on other targets."""
+"""``lidar-acceptance``: accepted wrong poses, rejected right ones, and f_MAX on other targets."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -13,17 +13,17 @@ from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import NONE, in_world, number, word
 from rpod_campaign.engine.report.statistics import quantile, rate
-from rpod_campaign.lidar_verdict.trial import VerdictCell
+from rpod_campaign.lidar_acceptance.trial import AcceptanceCell
 from rpod_pose.ports import Outcome
 from rpod_schemas.arrays import FloatArray
 
-Results = Sequence[CellResult[VerdictCell]]
+Results = Sequence[CellResult[AcceptanceCell]]
 Group = tuple[str, float]
 """Name of the model, and range in m."""
 
 
 MOST_WRONG_ACCEPTED, MOST_RIGHT_REJECTED = 0.02, 0.015
-"""Aims of the verdict: largest shares of accepted wrong poses and of rejected right ones."""
+"""Aims of the check: largest shares of accepted wrong poses and of rejected right ones."""
 F_MAX_M2 = 0.003
 """Limit f_MAX that the 2015 paper's Table 4 suggests, m2: above all successes but one, below all failures."""
 SCORES = {
@@ -34,7 +34,7 @@ SCORES = {
 """Column of each score, and whether larger values indicate a better pose."""
 
 
-def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
+def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell: numbers of trials."""
     judged = rows.filter(pl.col("found").is_not_null())
     wrong, accepted = judged["wrong"], judged["accepted"]
@@ -59,45 +59,45 @@ def sections(results: Results) -> list[Section]:
     groups = _grouped(results)
     return [
         Section(
-            "Verdicts",
-            "The facility's own verdict checks all poses, whatever method found them. Wrong: error of 3 deg "
-            "or 0.3 m or more, or a scan of another object; trials without a pose do not count. Rejected: "
-            "failed, or ambiguous other than by an exact symmetry. Aims: at most "
+            "Acceptance",
+            "The facility's own check decides on all poses, whatever method found them. Wrong: error of "
+            "3 deg or 0.3 m or more, or a scan of another object; trials without a pose do not count. "
+            "Rejected: failed, or ambiguous other than by an exact symmetry. Aims: at most "
             f"{100.0 * MOST_WRONG_ACCEPTED:g} % of the wrong accepted, {100.0 * MOST_RIGHT_REJECTED:g} % of "
             "the right rejected. Attitudes are uniform on SO(3). Ranges are for the bulky ENVISAT; those of "
             "other targets are in proportion to their size, the square root of the surface. Shares with "
             "95 % Wilson intervals.",
             (
-                _sum_table(results, "Verdicts in all", ("poses of",), _source),
-                _sum_table(results, "Verdicts by target and range", ("model", "range, m"), _model),
-                _verdict_table(results),
+                _sum_table(results, "Acceptance in all", ("poses of",), _source),
+                _sum_table(results, "Acceptance by target and range", ("model", "range, m"), _model),
+                _cell_table(results),
             ),
         ),
         Section(
             "f_CONV alone and the likelihood",
-            "Shares of accepted right and wrong poses over the limit of one score; crosses are the verdicts. "
-            "f_CONV is the paper's: mean squared distance of all points after its ICP from the checked "
-            "pose. Deficit: expected minus actual log likelihood for each return. Explained share: share of "
-            "agreeing rays, among those for which scan or model have a return.",
+            "Shares of accepted right and wrong poses over the limit of one score; crosses are the results "
+            "of the check. f_CONV is the paper's: mean squared distance of all points after its ICP from the "
+            "checked pose. Deficit: expected minus actual log likelihood for each return. Explained share: "
+            "share of agreeing rays, among those for which scan or model have a return.",
             (_score_table(groups),),
             tuple(_figure(groups, target) for target in dict.fromkeys(group[0] for group in groups)),
         ),
     ]
 
 
-def _source(cell: VerdictCell) -> tuple[str, ...]:
+def _source(cell: AcceptanceCell) -> tuple[str, ...]:
     if cell.scanned_target != cell.target:
         return (f"{cell.method}, something else scanned",)
     return (f"{cell.method}, its own target",)
 
 
-def _model(cell: VerdictCell) -> tuple[str, ...]:
+def _model(cell: AcceptanceCell) -> tuple[str, ...]:
     return in_world(cell.target, cell.world), word(cell.range_m)
 
 
 def _figure(groups: dict[Group, pl.DataFrame], target: str) -> go.Figure:
-    """Return the curves of a model's scores, with its verdicts as points."""
-    curves, verdicts = {}, {}
+    """Return the curves of a model's scores, with the results of the check as points."""
+    curves, decided = {}, {}
     for (model, range_m), rows in groups.items():
         wrong = rows["wrong"].to_numpy()
         if model != target or not 0 < wrong.sum() < wrong.size:
@@ -105,12 +105,12 @@ def _figure(groups: dict[Group, pl.DataFrame], target: str) -> go.Figure:
         for score in SCORES:
             curves[f"{range_m:g} m, {score}"] = roc(_scores(rows, score), wrong)
         accepted = rows["accepted"].to_numpy()
-        verdicts[f"{range_m:g} m, verdict"] = float(accepted[wrong].mean()), float(accepted[~wrong].mean())
+        decided[f"{range_m:g} m, check"] = float(accepted[wrong].mean()), float(accepted[~wrong].mean())
     return curve_figure(
         curves,
         x_title=f"share of wrong poses accepted, {target}",
         y_title="share of right poses accepted",
-        points=verdicts,
+        points=decided,
     )
 
 
@@ -164,7 +164,7 @@ def _shares(s: Row) -> tuple[str, ...]:
     )
 
 
-def _verdict_table(results: Results) -> Table:
+def _cell_table(results: Results) -> Table:
     rows = []
     for result in results:
         cell, s = result.cell, result.summary
@@ -192,13 +192,13 @@ def _verdict_table(results: Results) -> Table:
         "no pose",
         *_SHARES,
     )
-    return Table("Verdicts of every cell", columns, tuple(rows)).condensed(2)
+    return Table("Acceptance in every cell", columns, tuple(rows)).condensed(2)
 
 
 def _sum_table(
-    results: Results, title: str, names: tuple[str, ...], group: Callable[[VerdictCell], tuple[str, ...]]
+    results: Results, title: str, names: tuple[str, ...], group: Callable[[AcceptanceCell], tuple[str, ...]]
 ) -> Table:
-    """Return the verdicts over all cells of a group, and of all groups."""
+    """Return the acceptance over all cells of a group, and of all groups."""
     counted = ("wrong_accepted", "wrong", "right_rejected", "right", "right_ambiguous")
     whole = ("all", *("" for _ in names[1:]))
     sums: dict[tuple[str, ...], dict[str, int]] = {}

@@ -1,4 +1,4 @@
-"""``pmd-verdict``: its cells, and the campaign as one object."""
+"""``pmd-acceptance``: its cells, and the campaign as one object."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ from typing import Any
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.pmd.cells import chosen, ranges_m, scenarios
 from rpod_campaign.pmd.world import World, has_material
-from rpod_campaign.pmd_verdict import trial
-from rpod_campaign.pmd_verdict.options import Options
-from rpod_campaign.pmd_verdict.report import sections, summarise
-from rpod_campaign.pmd_verdict.trial import VerdictCell
+from rpod_campaign.pmd_acceptance import trial
+from rpod_campaign.pmd_acceptance.options import Options
+from rpod_campaign.pmd_acceptance.report import sections, summarise
+from rpod_campaign.pmd_acceptance.trial import AcceptanceCell
 from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 
@@ -46,10 +46,10 @@ CASES: Mapping[str, Case] = {
 """Cases by their name on the command line; the parts of the mock-up have an error of 1 mm unless stated."""
 
 
-def cells(options: Options) -> list[VerdictCell]:
+def cells(options: Options) -> list[AcceptanceCell]:
     """Return the cells. Raises ConfigurationError, which names the option."""
     return [
-        VerdictCell(
+        AcceptanceCell(
             case=name,
             document=_taken(scenario, CASES[name].profile).model_dump_json(),
             target=CASES[name].target or scenario.target,
@@ -79,8 +79,8 @@ def _taken(scenario: Scenario, profile: str) -> Scenario:
     return check(Scenario, document, source=scenario.name)
 
 
-CAMPAIGN: Campaign[VerdictCell] = Campaign(
-    name="pmd-verdict",
+CAMPAIGN: Campaign[AcceptanceCell] = Campaign(
+    name="pmd-acceptance",
     options=Options,
     cells=cells,
     trial=trial.run,

@@ -1,4 +1,4 @@
-"""``pmd-verdict``: right poses that are rejected, and frames of other objects that are accepted."""
+"""``pmd-acceptance``: right poses that are rejected, and frames of other objects that are accepted."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -9,13 +9,13 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.statistics import rate
-from rpod_campaign.pmd_verdict.trial import OFF_DEG, OFF_M, VerdictCell
+from rpod_campaign.pmd_acceptance.trial import OFF_DEG, OFF_M, AcceptanceCell
 
-Results = Sequence[CellResult[VerdictCell]]
+Results = Sequence[CellResult[AcceptanceCell]]
 _JUDGES = ("acquisition", "tracker")
 
 
-def summarise(cell: VerdictCell, rows: pl.DataFrame) -> dict[str, Any]:
+def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell: numbers of trials."""
     parameters = asdict(cell)
     del parameters["document"]

@@ -1,4 +1,4 @@
-"""Publishes the thinned stream of a camera: the newest complete frame as soon as the link has room for it.
+"""Publishes a camera's stream of reduced rate: the newest complete frame as soon as the link has room for it.
 
 The pace follows from stamps and sizes: after a frame of N bytes the next one is at least N bytes of the
 link's rate later. So a frame's parts stay together, nothing queues, and the same frames are sent in each run.
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.node import Node
 from rpod_runtime.sensor_data.shuffled import compressed
-from rpod_schemas.config.pmd.reduced_rate import ThinnedConfig
+from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.messages import NANOSECONDS, write_camera, write_image
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, Topic, optical_frame
 from rpod_schemas.types import PmdFrame
@@ -40,10 +40,10 @@ class Pace:
         self._next_ns = stamp_ns + round(size * _BITS / self._mbit_s * NANOSECONDS)
 
 
-class ThinnedCamera:
-    """Publishes the thinned stream of one camera. It lives as long as the node."""
+class ReducedRateCamera:
+    """Publishes the stream of reduced rate of one camera. It lives as long as the node."""
 
-    def __init__(self, node: Node, name: str, config: ThinnedConfig) -> None:
+    def __init__(self, node: Node, name: str, config: ReducedRateConfig) -> None:
         self._config, self._health, self._name = config, node.health, name
         self._frame_id = optical_frame(name)
         self._pace = Pace(config.mbit_s)
@@ -75,8 +75,8 @@ class ThinnedCamera:
             publisher.publish(message)
             size += _HEAD_BYTES + (message.data.nbytes if publisher is not self._camera else 0)
         self._pace.sent(frame.stamp_ns, size)
-        self._health.count(f"thinned/{self._name}")
-        self._health.put(f"thinned_bytes/{self._name}", size)
+        self._health.count(f"reduced_rate/{self._name}")
+        self._health.put(f"reduced_rate_bytes/{self._name}", size)
 
     def _image(self, stamp_ns: int, image: NDArray[Any], encoding: str) -> Any:
         if self._config.codec == "none":

@@ -21,7 +21,7 @@ class Level(StrEnum):
     """Not visible in what came; the text says why, and what would show it."""
 
 
-class Verdict(Config):
+class CheckResult(Config):
     """Result of one line of the check."""
 
     line: str
@@ -41,21 +41,21 @@ class Verdict(Config):
         return "; or ".join(BY_NAME[name].remedy for name in self.faults)
 
 
-def ok(line: str, text: str, **figures: float) -> Verdict:
-    """Return a verdict of a line that is in order."""
-    return Verdict(line=line, level=Level.OK, text=text, figures=figures)
+def ok(line: str, text: str, **figures: float) -> CheckResult:
+    """Return a result of a line that is in order."""
+    return CheckResult(line=line, level=Level.OK, text=text, figures=figures)
 
 
-def note(line: str, text: str, **figures: float) -> Verdict:
-    """Return a verdict of a line that is in order, with something to know."""
-    return Verdict(line=line, level=Level.NOTE, text=text, figures=figures)
+def note(line: str, text: str, **figures: float) -> CheckResult:
+    """Return a result of a line that is in order, with something to know."""
+    return CheckResult(line=line, level=Level.NOTE, text=text, figures=figures)
 
 
-def unchecked(line: str, reason: str, **figures: float) -> Verdict:
-    """Return a verdict of a line that could not be checked."""
-    return Verdict(line=line, level=Level.UNCHECKED, text=reason, figures=figures)
+def unchecked(line: str, reason: str, **figures: float) -> CheckResult:
+    """Return a result of a line that could not be checked."""
+    return CheckResult(line=line, level=Level.UNCHECKED, text=reason, figures=figures)
 
 
-def fail(line: str, text: str, *faults: str, **figures: float) -> Verdict:
-    """Return a verdict of a line that is wrong."""
-    return Verdict(line=line, level=Level.FAIL, text=text, faults=faults, figures=figures)
+def fail(line: str, text: str, *faults: str, **figures: float) -> CheckResult:
+    """Return a result of a line that is wrong."""
+    return CheckResult(line=line, level=Level.FAIL, text=text, faults=faults, figures=figures)

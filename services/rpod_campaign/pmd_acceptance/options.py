@@ -1,4 +1,4 @@
-"""Options of ``pmd-verdict``."""
+"""Options of ``pmd-acceptance``."""
 
 from typing import Annotated, ClassVar, Literal, get_args
 
@@ -31,9 +31,9 @@ CaseName = Literal[
 
 
 class Options(PmdOptions):
-    """Verdicts on frames of the target and of something else."""
+    """Acceptance of frames of the target and of something else."""
 
-    title: ClassVar[str] = "Verdicts on frames of the target and of something else"
+    title: ClassVar[str] = "Acceptance of frames of the target and of something else"
 
     trials: Trials = 100
     ranges: Ranges = (2.1, 7.0)
