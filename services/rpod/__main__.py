@@ -190,6 +190,27 @@ _add_service(
 )
 
 
+TargetOption = Annotated[
+    str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
+]
+WebOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--web/--native", help="Show a web page or a window; by default a window if there is a display."
+    ),
+]
+BindOption = Annotated[
+    str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
+]
+TokenOption = Annotated[
+    Path | None,
+    typer.Option("--token-file", help="File of the token for --bind on the network; made if not there."),
+]
+SaveOption = Annotated[
+    Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
+]
+
+
 @app.command()
 def view(
     logs: Annotated[
@@ -199,25 +220,11 @@ def view(
     connect: ConnectOption = None,
     wait: WaitOption = False,
     credentials: CredentialsOption = None,
-    target: Annotated[
-        str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
-    ] = None,
-    web: Annotated[
-        bool | None,
-        typer.Option(
-            "--web/--native", help="Show a web page or a window; by default a window if there is a display."
-        ),
-    ] = None,
-    bind: Annotated[
-        str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
-    ] = None,
-    token_file: Annotated[
-        Path | None,
-        typer.Option("--token-file", help="File of the token for --bind on the network; made if not there."),
-    ] = None,
-    save: Annotated[
-        Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
-    ] = None,
+    target: TargetOption = None,
+    web: WebOption = None,
+    bind: BindOption = None,
+    token_file: TokenOption = None,
+    save: SaveOption = None,
     start: Annotated[float, typer.Option("--from", help="First second of a log to show.")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="Last second of a log to show.")] = None,
     _no_limits: NoLimits = False,

@@ -1,3 +1,4 @@
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -14,6 +15,8 @@ COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 CROWDED = 15
 """Most modules of a folder in which a reader still finds a file."""
 ROOMS = sorted({file.parent for file in SOURCES})
+LONG_FUNCTION = 50
+"""Most lines of a function, without its docstring."""
 LONG = 400
 """Most lines of a module that a reader still surveys."""
 NO_CODE = {"rpod_msgs"}
@@ -23,6 +26,23 @@ NO_CODE = {"rpod_msgs"}
 @pytest.mark.parametrize("folder", ROOMS, ids=lambda folder: str(folder.relative_to(ROOT)))
 def test_no_folder_is_crowded(folder):
     assert len(list(folder.glob("*.py"))) <= CROWDED
+
+
+def _code_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return the number of a function's lines without its docstring."""
+    first = function.body[0]
+    told = first.end_lineno - first.lineno + 1 if ast.get_docstring(function) else 0
+    return function.end_lineno - function.lineno + 1 - told
+
+
+def test_no_function_is_long():
+    lines = {
+        f"{file.relative_to(ROOT)}: {node.name}": _code_lines(node)
+        for file in SOURCES
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert not {name: number for name, number in lines.items() if number > LONG_FUNCTION}
 
 
 def test_no_module_is_long():
