@@ -44,8 +44,7 @@ _SPREAD = (0.1, 0.75)
 disc has 0.71."""
 _LONGEST = 1.02
 """Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding."""
-_STEP_M = 0.001
-_END_M = 30.0
+_STEP_M, _END_M = 0.001, 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
 """Iterations of the inversion of a calibration; each halves the error, whose slope is at most 0.5."""

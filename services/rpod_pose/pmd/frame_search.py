@@ -32,6 +32,7 @@ FIELD_STEPS = np.geomspace(1.0, 0.2, 6)
 FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 """Geman-McClure scales of the steps that refine the best candidates, over the truncation."""
 _ROUNDS, _SAMPLES = 6, 32
+"""Number of rounds of the refinement on the outline, and of samples in each: a budget of computation."""
 _POWER = 8
 """A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
 

@@ -23,6 +23,7 @@ from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 DARKEST_PERCENT = 2.0
 """Percentile of the amplitudes of pixels with depth that stands for the darkest of them."""
 SEGMENTATION_ROUNDS = 5
+"""Largest number of times that a ball around the target is moved to the median of the points in it."""
 REACH = 1.5
 """Radius, in radii of the target, around the median of its visible points that contains all of them."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0

@@ -40,6 +40,7 @@ STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, ACCELERATION_BIAS})
 """Names of the blocks of further states."""
 
 _NONE = np.zeros(3)
+"""A bias that is not estimated."""
 
 
 @dataclass(frozen=True, eq=False)

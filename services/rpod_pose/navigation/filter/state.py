@@ -15,7 +15,9 @@ from rpod_target import NO_SYMMETRY, Equivalence
 from rpod_target.equivalence import with_variance_about
 
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""Places of a state's parts among its errors."""
 POSE, TWIST = slice(0, 6), slice(6, 12)
+"""Places of position with attitude, and of velocity with rate."""
 MOTION = slice(0, 12)
 """Pose and twist; the states of blocks follow."""
 

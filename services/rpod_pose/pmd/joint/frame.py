@@ -40,6 +40,7 @@ MOST_SATURATED = 0.8
 MIXED_BLURS = 2.0
 """Distance from a saturated pixel, over the blur, within which edges are shifted."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
+"""Patch of a frame without amplitude: in it no edge is found."""
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
 OUTER = 4
