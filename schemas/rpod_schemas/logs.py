@@ -139,7 +139,15 @@ class Recovery(Config):
         return self.closed and not self.unreadable_bytes and not self.without_definition
 
 
-class Completeness(Config):
+class _Record(Config):
+    """Content of a metadata record, each field as JSON."""
+
+    def record(self) -> dict[str, str]:
+        """Return the metadata record."""
+        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
+
+
+class Completeness(_Record):
     """Completeness of a file: whether it contains all messages that were published while it was open."""
 
     complete: bool
@@ -150,10 +158,6 @@ class Completeness(Config):
     """Name of the preceding file, if it ends at the message at which this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
     """Jumps of the logger's clock while the file was open, s; ``log_time`` includes them."""
-
-    def record(self) -> dict[str, str]:
-        """Return the metadata record."""
-        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:
@@ -182,7 +186,7 @@ class OutageTime(Config):
     """None if it lasted at the close of the file."""
 
 
-class BusRecord(Config):
+class BusRecord(_Record):
     """Events of the bus while a file was open, beside the messages."""
 
     outages: tuple[OutageTime, ...] = ()
@@ -190,10 +194,6 @@ class BusRecord(Config):
     unconfirmed: tuple[str, ...] = ()
     """Publishers of other software that ended: they do not say their last number, so that nobody knows
     whether it arrived. They are no reason against the file."""
-
-    def record(self) -> dict[str, str]:
-        """Return the metadata record."""
-        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:

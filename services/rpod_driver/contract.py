@@ -10,7 +10,7 @@
             return MyCamera(...)
 
 The frames go through the same judgement as ``rpod driver check``, without a bus. Truth does not come, so that
-what needs it is not judged.
+what needs it is not checked.
 """
 
 import time
@@ -53,7 +53,7 @@ class DriverContract:
         raise NotImplementedError("give the class a fixture `driver` that returns the driver")
 
     def test_the_check_finds_nothing_wrong(self, driver: Any) -> None:
-        """Frames of a few seconds, judged as ``rpod driver check`` does."""
+        """Frames of a few seconds, checked as ``rpod driver check`` does."""
         results = judge(self._watched(driver))
         wrong = [each for each in results if each.level is Level.FAIL and each.line not in self.expected]
         assert not wrong, "\n".join(_line(each) for each in wrong)

@@ -101,7 +101,7 @@ def _check_size(document: Any, path: Path) -> None:
     raise ConfigurationError(path, "", _TOO_DEEP)
 
 
-RENAMED = {"thinned": "reduced_rate", "verdict": "acceptance"}
+RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict": "acceptance"}
 """Present names of fields of configuration files by the names that they had."""
 
 

@@ -163,7 +163,7 @@ class Daemon:
             self._write_config()
         except OSError as error:
             log.error("%s: its configuration cannot be written: %s", self.name, error)
-        if self.state == "ready":  # before that, a process does not heed the signal yet
+        if self.state == "ready":  # before that, a process does not handle the signal yet
             self.send(signal.SIGHUP)
 
     def _write_config(self) -> None:

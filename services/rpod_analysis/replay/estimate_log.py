@@ -90,9 +90,9 @@ class EstimateLog:
             sequence=logged.sequence,
         )
 
-    def add(self, judged: Iterable[tuple[Output, Integrity]], *, arrival_ns: int) -> None:
+    def add(self, checked: Iterable[tuple[Output, Integrity]], *, arrival_ns: int) -> None:
         """Add the estimator's results for a frame and their integrity, with the frame's time of arrival."""
-        for output, integrity in judged:
+        for output, integrity in checked:
             if output.odometry is not None:
                 self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
                 self._add(ESTIMATE_POSE, write_pose_stamped(output.odometry), arrival_ns)

@@ -119,7 +119,7 @@ def _truth(summary: Summary) -> Iterator[Check]:
             f"its own error is {truth.attitude_deg_rms:.2g}° and {1e3 * truth.position_m_rms:.3g} mm (RMS): "
             f"it may be {_percent(truth.attitude_share)} of the mean squared attitude error and "
             f"{_percent(truth.position_share)} of the position's",
-            "part of the covariance by which errors are judged",
+            "part of the covariance by which errors are checked",
             None,
         )
 

@@ -36,14 +36,14 @@ SCORES = {
 
 def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell: numbers of trials."""
-    judged = rows.filter(pl.col("found").is_not_null())
-    wrong, accepted = judged["wrong"], judged["accepted"]
-    ambiguous = judged["verdict"] == Outcome.AMBIGUOUS.value
+    checked = rows.filter(pl.col("found").is_not_null())
+    wrong, accepted = checked["wrong"], checked["accepted"]
+    ambiguous = checked["verdict"] == Outcome.AMBIGUOUS.value
     return {
         **asdict(cell),
         "trials": rows.height,
         "scanned_range_m": quantile(rows["scanned_range_m"], 0.5),
-        "without_pose": rows.height - judged.height,
+        "without_pose": rows.height - checked.height,
         "wrong": int(wrong.sum()),
         "wrong_accepted": int((wrong & accepted).sum()),
         "right": int((~wrong).sum()),

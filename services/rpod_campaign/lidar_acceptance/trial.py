@@ -62,7 +62,7 @@ def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     range_m = cell.range_m * size_m(cell.scanned_target) / size_m(REFERENCE)
     drawn = random_pose(cell.scanned_target, range_m=range_m, sampling="so3", seed=seed, trial=trial)
     scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
-    acquisition = judge.judged(scan)
+    acquisition = judge.checked(scan)
     row = acquisition_row(drawn.T_sensor_target, acquisition, len(scan.returns_m), cached_target(cell.target))
     other = cell.scanned_target != cell.target
     wrong = other or not limits_of(cached_target(cell.target)).are_met(
@@ -87,16 +87,16 @@ class Judge:
         paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
         self._paper = NearestNeighbourIcp(paper, target, pattern)
 
-    def judged(self, scan: LidarScan) -> Acquisition:
+    def checked(self, scan: LidarScan) -> Acquisition:
         """Return the method's acquisition, with the result of the facility's check."""
         found = self._acquirer.acquire(scan)
         if self._judges_itself or found.pose is None:
             return found
         return self._check.verify(scan, found.pose)
 
-    def scores(self, scan: LidarScan, judged: Acquisition) -> dict[str, float | None]:
+    def scores(self, scan: LidarScan, checked: Acquisition) -> dict[str, float | None]:
         """Return f_CONV, m2, and the deficit for each return at the checked pose; None without one."""
-        pose = judged.pose
+        pose = checked.pose
         if pose is None:
             return {"f_conv_m2": None, "deficit_per_return": None}
         seen = self._fine.view.seen(scan)

@@ -121,9 +121,9 @@ def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
         "depth_share": shot.depth_share,
     }
     off_found = errors(truth, found.pose, looked_for)
-    row |= _judged("acquisition", found.begins_track, found.belief.reason, off_found, looked_for)
+    row |= _checked("acquisition", found.begins_track, found.belief.reason, off_found, looked_for)
     refusal = "" if tracked.begins_track else tracked.belief.refusal
-    row |= _judged(
+    row |= _checked(
         "tracker", not refusal, refusal, errors(truth, tracked.T_sensor_target, looked_for), looked_for
     )
     refined = None
@@ -138,7 +138,7 @@ def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     return row
 
 
-def _judged(
+def _checked(
     name: str, accepted: bool, reason: str, off: tuple[float | None, float | None], target: Target
 ) -> dict[str, Any]:
     """Return the columns of the acquisition or of the tracker."""

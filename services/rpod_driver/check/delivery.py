@@ -12,7 +12,7 @@ from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF_STATIC
 
 LEAST_FRAMES = 8
-"""Number of frames from which on times between them are judged."""
+"""Number of frames from which on times between them are checked."""
 _MISSING_SHARE = 0.01
 """Share of missing frames that is no fault yet: one in a hundred costs a track nothing."""
 _STALL_S, _STALL_PERIODS = 0.5, 8.0
@@ -64,7 +64,7 @@ def _published_instead(seen: Observations) -> str:
 
 
 def few(seen: Observations) -> str:
-    """Return why times cannot be judged; empty if they can."""
+    """Return why times cannot be checked; empty if they can."""
     count = len(seen.leads)
     return (
         "" if count >= LEAST_FRAMES else f"{count} frames came, {LEAST_FRAMES} are needed; watch for longer"

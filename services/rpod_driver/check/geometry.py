@@ -3,7 +3,7 @@
 One fit of all kept frames gives the time by which stamps are off, a range error that all points share, and
 how far the mount is off. Each point is paired with the nearest sample of the target's surface. The truth
 gives its velocity, and so the derivative by time. Values that the motion does not separate have large
-standard deviations and are not judged.
+standard deviations and are not checked.
 """
 
 from dataclasses import dataclass, replace
@@ -83,7 +83,7 @@ def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResu
     plain = fitted(sightings, surface, T_chaser_sensor)
     mirror = fitted([_mirrored(each) for each in sightings], surface, T_chaser_sensor)
     ratio = mirror.residual_m / max(plain.residual_m, 1e-6)
-    new = {each.line: each for each in (_undetermined() if plain.is_implausible else _judged(seen, plain))}
+    new = {each.line: each for each in (_undetermined() if plain.is_implausible else _checked(seen, plain))}
     if ratio < _MIRROR_SHARE:
         text = f"mirrored points fit the target {1.0 / ratio:.1f} times better"
         new = {"grid": fail("grid", text, "mirrored", mirror_ratio=ratio)}
@@ -193,7 +193,7 @@ def _distances(sighting: Sighting, values: FloatArray, surface: Surface, mount: 
     return np.asarray(surface.tree.query(_moved(sighting, values, mount)[0])[0])
 
 
-def _judged(seen: Observations, fit: Fitted) -> list[CheckResult]:
+def _checked(seen: Observations, fit: Fitted) -> list[CheckResult]:
     """Return the lines that a fit judges."""
     dt_s, range_m = fit.values[:2]
     sigmas = fit.sigmas
@@ -262,12 +262,12 @@ def mount_error(
         f"{1e3 * float(np.linalg.norm(fit.sigmas[2:4])):.1f} mm, "
         f"{float(np.rad2deg(np.linalg.norm(fit.sigmas[5:8]))):.2f} deg"
     )
-    # Across the boresight a shift and a turn look alike, so that only both together are judged.
-    judged = [2, 3, 5, 6, 7]
+    # Across the boresight a shift and a turn look alike, so that only both together are checked.
+    checked = [2, 3, 5, 6, 7]
     allowed = np.diag([_MOUNT_M] * 2 + [np.deg2rad(_MOUNT_DEG)] * 3) ** 2 / _SIGMAS**2
     allowed += np.diag([sigma_m] * 2 + [sigma_rad] * 3) ** 2
-    off = fit.values[judged]
-    distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(judged, judged)] + allowed, off)))
+    off = fit.values[checked]
+    distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(checked, checked)] + allowed, off)))
     return text, {"aside_m": aside_m, "turned_deg": turned_deg}, distance
 
 

@@ -48,10 +48,10 @@ def mount_second(seen: Observations) -> CheckResult:
     if reason:
         return unchecked(_LINE, reason)
     others = ", ".join(sorted({measured_by[each.stamp_ns] for each in poses}))
-    return _judged(fitted(sightings, surface, mount), poses, others)
+    return _checked(fitted(sightings, surface, mount), poses, others)
 
 
-def _judged(fit: Fitted, poses: list[Odometry], others: str) -> CheckResult:
+def _checked(fit: Fitted, poses: list[Odometry], others: str) -> CheckResult:
     if fit.is_implausible:
         return unchecked(_LINE, UNDETERMINED)
     text, figures, distance = mount_error(fit, *_sigmas(poses))

@@ -14,9 +14,9 @@ from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Health, SensorSync
 
 WINDOW_S = 2.0
-"""Time span of the frames that are judged."""
+"""Time span of the frames that are checked."""
 LEAST_FRAMES = 3
-"""Number of frames that are judged where fewer came in ``WINDOW_S``: a slow sensor has few."""
+"""Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})

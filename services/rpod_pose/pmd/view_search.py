@@ -215,7 +215,7 @@ class ViewSearch:
         )
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
-        """Return a pose that the search found, refined and judged by the tracker."""
+        """Return a pose that the search found, refined and checked by the tracker."""
         found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))

@@ -121,7 +121,7 @@ class NavigatorTuning(Tuning):
         Share,
         Provenance(
             "campaign",
-            "twice 0.12: of no satellite are more right poses doubted (docs/limits, most_doubted_share)",
+            "twice 0.12: of no satellite are more right poses doubtful (docs/limits, most_doubted_share)",
         ),
     ] = 0.25
     """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it

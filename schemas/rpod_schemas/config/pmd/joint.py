@@ -145,7 +145,7 @@ class JointTuning(Tuning):
     near_iterations: Annotated[int, Field(ge=2), BUDGET] = 5
     """Number of these steps, the last ones, that are done from a near prediction; and number of further steps
     with the last scale and reach. From an accurate prediction only the further steps are done."""
-    sharp_share: Annotated[Share, CHOICE] = 0.55
+    accurate_share: Annotated[Share, CHOICE] = 0.55
     """Share of the expected edges found in their places above which a prediction is accurate."""
     near_share: Annotated[Share, CHOICE] = 0.4
     """Share of the expected edges found in their places above which a prediction is near."""

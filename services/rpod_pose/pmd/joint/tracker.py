@@ -152,7 +152,7 @@ class JointTracker:
         pose = sight.expected.pose
         share, in_place = self._explained(seen, pose), self._in_place(seen, sight, pose)
         if in_place >= tuning.near_share:
-            yield State(pose, 0.0), self._narrow if in_place >= tuning.sharp_share else self._near
+            yield State(pose, 0.0), self._narrow if in_place >= tuning.accurate_share else self._near
         if share >= tuning.fair_share or len(seen.points_m) < tuning.acceptance.min_points:
             yield State(pose, 0.0), self._full
         if len(seen.points_m) >= tuning.acceptance.min_points:
