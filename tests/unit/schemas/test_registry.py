@@ -3,11 +3,13 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from rpod_schemas import registry
+from rpod_schemas.config import pmd_methods as documented
 from rpod_schemas.config.base import check
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd import methods as parameters
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import METHODS, SENSORS, RegistryError, UnknownNameError, names, resolve
@@ -36,6 +38,10 @@ def test_everything_that_a_kind_refers_to_is_there(kind):
         assert resolve(reference) is not None
     assert kind.emulated.model_fields["kind"].default == kind.heard.model_fields["kind"].default == kind.name
     assert {topic.name for topic in kind.topics} <= {topic.name for topic in TOPICS}
+
+
+def test_the_documented_path_of_a_methods_parameters_stays():
+    assert all(getattr(parameters, name) is getattr(documented, name) for name in documented.__all__)
 
 
 @pytest.mark.parametrize("name", names(METHODS))

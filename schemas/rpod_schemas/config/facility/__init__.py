@@ -1,1 +1,1 @@
-"""The services beside motion, sensors and estimator, how a host keeps them up, and who may do what."""
+"""The services beside motion, sensors and estimator, how a host keeps them up, links, rights."""
