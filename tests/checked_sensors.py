@@ -16,16 +16,17 @@ import numpy as np
 from pmd_frames import depth_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_driver.check import Observations, Observer, Options, Verdict, judge
+from rpod_driver.check import CheckResult, Observations, Observer, Options, judge
 from rpod_driver.check.surface import Surface
 from rpod_runtime import Received
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.messages import write_odometry, write_status
 from rpod_schemas.poses import chained, make_pose, rotation_of
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import ESTIMATE, STATUS, TRUTH, Topic
 from rpod_schemas.types import (
     Camera,
@@ -35,7 +36,6 @@ from rpod_schemas.types import (
     PmdFrame,
     PmdInfo,
 )
-from rpod_schemas.wire import Attachment
 from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
@@ -229,8 +229,8 @@ def hear(observer: Observer, topic: Topic, stamp_ns: int, message: Any) -> None:
 
 def wall_camera(
     *faults: str, seed: int = 0, duration_s: float = 12.0, rate_hz: float = 10.0
-) -> list[Verdict]:
-    """Return the verdicts on the camera before a wall."""
+) -> list[CheckResult]:
+    """Return the results on the camera before a wall."""
     frames = wall_frames(seed, duration_s)
     return judge(
         watched(
@@ -239,8 +239,8 @@ def wall_camera(
     )
 
 
-def room_scanner(*faults: str, seed: int = 0, duration_s: float = 12.0) -> list[Verdict]:
-    """Return the verdicts on the scanner in a room."""
+def room_scanner(*faults: str, seed: int = 0, duration_s: float = 12.0) -> list[CheckResult]:
+    """Return the results on the scanner in a room."""
     frames = room_scans(seed, duration_s)
     return judge(
         watched(
@@ -299,8 +299,8 @@ def facility_frames(kind: str) -> tuple[Any, ...]:
     return sensor, tuple(frames)
 
 
-def facility(kind: str, *faults: str, seed: int = 0) -> list[Verdict]:
-    """Return the verdicts on an emulated sensor of the facility, beside truth and the target's surface."""
+def facility(kind: str, *faults: str, seed: int = 0) -> list[CheckResult]:
+    """Return the results on an emulated sensor of the facility, beside truth and the target's surface."""
     sensor, frames = facility_frames(kind)
     truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
@@ -327,8 +327,8 @@ def ideal_frames() -> tuple[PmdFrame, ...]:
     return tuple(frames)
 
 
-def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[Verdict]:
-    """Return the verdicts on the ideal camera, beside truth or estimates; its exposure lasts 16 ms."""
+def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[CheckResult]:
+    """Return the results on the ideal camera, beside truth or estimates; its exposure lasts 16 ms."""
     truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     against = "estimate" if estimates else None
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)), against=against)
@@ -348,6 +348,6 @@ def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[Verdi
     )
 
 
-def failed(verdicts: list[Verdict]) -> set[str]:
-    """Return the faults that verdicts name."""
-    return {fault for verdict in verdicts for fault in verdict.faults}
+def failed(results: list[CheckResult]) -> set[str]:
+    """Return the faults that results name."""
+    return {fault for result in results for fault in result.faults}

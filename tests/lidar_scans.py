@@ -9,7 +9,7 @@ from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator

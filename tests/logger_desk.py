@@ -16,7 +16,7 @@ from rpod_logger.recorder import Recorder
 from rpod_runtime import Received
 from rpod_runtime.delivery.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.logs import COMPLETENESS, COUNTS, Completeness, TopicCount, check_completeness
 
 

@@ -9,10 +9,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from synthetic_log import EPOCH_NS, SyntheticRun
 
-from rpod_schemas.cdr import definition, encode
 from rpod_schemas.logs import MESSAGE_ENCODING, SCHEMA_ENCODING
 from rpod_schemas.messages import write_odometry, write_transforms, write_vector_stamped
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import definition, encode
 from rpod_schemas.topics import CHASER, REFERENCE, SUN, TARGET, TF, Topic
 from rpod_schemas.types import Odometry, PmdInfo
 

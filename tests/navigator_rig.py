@@ -14,7 +14,7 @@ from rpod_pose.ports import Acquisition, Candidate, Candidates, Methods, Registr
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Mode, Source
 from rpod_target import NO_SYMMETRY

@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_motion.truth_error import TruthError
-from rpod_schemas.cdr import definition, encode
 from rpod_schemas.logs import (
     COMPLETENESS,
     CONFIGURATION,
@@ -40,6 +39,7 @@ from rpod_schemas.messages import (
     write_transforms,
 )
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import definition, encode
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,

@@ -89,7 +89,7 @@ def soak(
 def _table(done: dict[str, list[Kill]]) -> Table:
     table = Table(
         "killed", "times", "TRACKING after, s: min, median, p90, most", "at work after, s",
-        "bare echo after, s", "processor time, s: most", "log lost, s: most", "statement right",
+        "bare echo after, s", "processor time, s: most", "log lost, s: most", "completeness right",
     )  # fmt: skip
     for name, found in done.items():
         table.add_row(

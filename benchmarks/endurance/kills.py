@@ -30,7 +30,7 @@ from rpod_schemas.types import Mode
 _QUIET_S = 1.0, 2.0
 """Least and longest time before a kill, s, so that it falls anywhere between two syncs of the log."""
 _SETTLE_S = 1.5
-"""Time after which the logger has judged a publisher that is gone (1 s, ICD section 5)."""
+"""Time after which the logger has checked a publisher that is gone (1 s, ICD section 5)."""
 _RECOVERY_S = 60.0
 _TRUTH_HZ = 250.0
 _NUMBERS = TypeAdapter(list[Numbers])
@@ -54,7 +54,7 @@ class Kill:
     lost_s: float
     """Truth that no file holds, s, where the logger was killed; 0 of the others."""
     wrong: tuple[str, ...]
-    """Statements of completeness that do not agree with what happened."""
+    """Records of completeness that do not agree with what happened."""
 
 
 class Watch:
@@ -120,7 +120,7 @@ class Desk:
     ) -> None:
         self._reserve = reserve
         self._facility, self._node, self._echo, self._watch = facility, node, echo, watch
-        self._judged = set[Path]()
+        self._checked = set[Path]()
 
     def settle(self) -> tuple[str, ...]:
         """Begin a new file, and return what is wrong of those before, in which nobody was killed."""
@@ -188,10 +188,10 @@ class Desk:
         ) / _TRUTH_HZ
 
     def _judge(self, *, killed: str) -> Iterator[str]:
-        """Yield the statements of the closed files that do not agree with what happened to them."""
+        """Yield the closed files' records of completeness that do not agree with what happened."""
         for path in self._files()[:-1]:
-            if path not in self._judged:
-                self._judged.add(path)
+            if path not in self._checked:
+                self._checked.add(path)
                 yield from judge(path, killed=killed)
                 path.unlink() if killed != "logger" else None
 
@@ -241,7 +241,7 @@ def judge(path: Path, *, killed: str) -> Iterator[str]:
     Args:
         path: a file that is not written any more.
         killed: the service that was killed while it was written, empty if none was. A killed logger leaves a
-            file without a statement; the next one begins after the kill, and nothing is missing in it.
+            file without a record of completeness; the next one begins after the kill, and misses nothing.
     """
     try:
         with path.open("rb") as stream:

@@ -88,7 +88,7 @@ def watch(facility: KeptFacility, *, seconds: float, rate_hz: float) -> Soak:
     bus = BusConfig(connect=facility.endpoint, wait=True)
     processes = {name: psutil.Process(facility.service(name)["pid"]) for name in SERVICES}
     samples: dict[str, list[tuple[float, ...]]] = {name: [] for name in SERVICES}
-    wrong, judged = list[str](), set[Path]()
+    wrong, checked = list[str](), set[Path]()
     with (
         Node(ServiceConfig(instance="soak", bus=bus), version=__version__, stop=Event()) as node,
         Echo(facility.endpoint, rate_hz=rate_hz, size_bytes=FRAME_BYTES) as echo,
@@ -99,7 +99,7 @@ def watch(facility: KeptFacility, *, seconds: float, rate_hz: float) -> Soak:
             for name, process in processes.items():
                 samples[name].append((time_s, *_sample(process)))
             round_trips += [(sent_s - begin_s, came_s - sent_s) for sent_s, came_s in echo.take()]
-            wrong += _judge_closed(facility.logs, judged)
+            wrong += _judge_closed(facility.logs, checked)
             node.stop.wait(_SAMPLE_S)
         statuses = node.ask_all("status", StatusReply, timeout_s=10.0)
     found = {status.name: status.counters for status in statuses}
@@ -122,11 +122,11 @@ def _sample(process: psutil.Process) -> tuple[float, ...]:
         return memory, process.num_threads(), process.num_fds(), times.user + times.system
 
 
-def _judge_closed(logs: Path, judged: set[Path]) -> Iterator[str]:
+def _judge_closed(logs: Path, checked: set[Path]) -> Iterator[str]:
     """Judge the files that the logger has closed, and remove them: hours of images fill a disk."""
     for path in sorted(logs.glob("*.mcap"), key=lambda path: (len(path.name), path.name))[:-1]:
-        if path not in judged:
-            judged.add(path)
+        if path not in checked:
+            checked.add(path)
             yield from judge(path, killed="")
             path.unlink()
 

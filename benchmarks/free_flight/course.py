@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_motion.approach import Approach
 from rpod_motion.attitude import integrate_tumble
 from rpod_motion.imu import Imu
 from rpod_motion.motion import MARGIN_S, Motion
-from rpod_motion.station_keeping import StationKeeping
-from rpod_motion.synchronised import Slewing
-from rpod_motion.trajectory import Trajectory
+from rpod_motion.trajectories.approach import Approach
+from rpod_motion.trajectories.station_keeping import StationKeeping
+from rpod_motion.trajectories.synchronised import Slewing
+from rpod_motion.trajectories.trajectory import Trajectory
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState, predict, start, update
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.dynamics import DynamicsConfig
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.motion import ImuNoiseConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_target import Target

@@ -21,10 +21,10 @@ from mcap.writer import CompressionType, Writer
 from rpod_analysis import open_log
 from rpod_analysis.report import write_report
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import NANOSECONDS, definition, encode, restamped
 from rpod_schemas.logs import MESSAGE_ENCODING, PROFILE, SCHEMA_ENCODING
 from rpod_schemas.messages import write_image, write_odometry, write_status
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import NANOSECONDS, definition, encode, restamped
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import AMPLITUDE, CHASER, DEPTH, ESTIMATE, STATUS, TARGET, TRUTH, Topic
 from rpod_schemas.types import EstimatorStatus, Mode, Odometry

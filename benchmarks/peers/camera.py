@@ -12,7 +12,7 @@ from rpod_campaign.pmd.poses import SUCCESS_DEG, SUCCESS_M, drawn
 from rpod_campaign.pmd.scene import Stage, still
 from rpod_campaign.pmd.world import NOMINAL
 from rpod_pose.pmd.depth_view import usable_image
-from rpod_schemas.config.pmd_methods import DepthImageConfig
+from rpod_schemas.config.pmd.methods import DepthImageConfig
 from rpod_schemas.types import Float32Array, PmdFrame
 from rpod_target import Target
 

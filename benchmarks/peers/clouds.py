@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LidarScan
 from rpod_target import Target
-from rpod_target.sampling import sample_evenly
-from rpod_target.topology import areas_m2
+from rpod_target.build.sampling import sample_evenly
+from rpod_target.mesh.topology import areas_m2
 
 NEIGHBOURS = 8
 """Neighbours of a return, for its normal: those around it in the grid of the scan."""

@@ -1,7 +1,7 @@
 """``make recording``: run the benchmark and print it; the exit code is 1 where anything was lost.
 
 Each minute a line on standard error says how it goes. Without ``--out`` a file is removed once it is closed
-and judged, so that there are never more than two, 7 GB unless ``split_bytes`` is set, however long it runs.
+and checked, so that there are never more than two, 7 GB unless ``split_bytes`` is set, however long it runs.
 """
 
 import json

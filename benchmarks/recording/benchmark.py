@@ -17,13 +17,13 @@ from mcap.reader import make_reader
 from rpod import __version__
 from rpod_runtime import Node, Publisher, QueryFailedError
 from rpod_runtime.bus.session import free_endpoint
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.logs import COMPLETENESS, COUNTS, Completeness, check_completeness
 from rpod_schemas.messages import write_camera, write_image, write_odometry
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, CHASER, DEPTH, PHASE, TARGET, TRUTH, Topic
 from rpod_schemas.types import Odometry
 
@@ -76,7 +76,7 @@ class Result:
 
 
 class Shelf:
-    """The log's files: each is held against its own statement once it is closed."""
+    """The log's files: each is held against its own record of completeness once it is closed."""
 
     def __init__(self, directory: Path, *, keep: bool) -> None:
         self.said: dict[str, Completeness] = {}
@@ -88,7 +88,7 @@ class Shelf:
         paths = sorted(self._directory.glob("*.mcap"))
         for path in paths if last_too else paths[:-1]:
             if path.name not in self.said:
-                self.said[path.name] = _statement(path)
+                self.said[path.name] = _completeness(path)
                 self.size_bytes += path.stat().st_size
                 if not self._keep and not last_too:
                     path.unlink()
@@ -227,7 +227,7 @@ def _sample(process: psutil.Process, time_s: float) -> Sample:
     return Sample(time_s, times.user + times.system, process.memory_info().rss)
 
 
-def _statement(path: Path) -> Completeness:
+def _completeness(path: Path) -> Completeness:
     with path.open("rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()

@@ -36,7 +36,7 @@ REPLAY = "replay"
 RECOVERY = "recovery"
 """Record of a ``Recovery`` under ``recovery``; only in a file that was recovered from a damaged one."""
 COMPLETENESS = "completeness"
-"""Record of the fields of ``Completeness``, the file's own statement; only in a file that was closed."""
+"""Record of the fields of ``Completeness``, the file's own record; only in a file that was closed."""
 
 BUS = "bus"
 """Record of the fields of ``BusRecord``: outages, and ends of publishers; only in a file that was closed."""
@@ -139,7 +139,15 @@ class Recovery(Config):
         return self.closed and not self.unreadable_bytes and not self.without_definition
 
 
-class Completeness(Config):
+class _Record(Config):
+    """Content of a metadata record, each field as JSON."""
+
+    def record(self) -> dict[str, str]:
+        """Return the metadata record."""
+        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
+
+
+class Completeness(_Record):
     """Completeness of a file: whether it contains all messages that were published while it was open."""
 
     complete: bool
@@ -150,10 +158,6 @@ class Completeness(Config):
     """Name of the preceding file, if it ends at the message at which this one begins."""
     clock_jumps_s: tuple[float, ...] = ()
     """Jumps of the logger's clock while the file was open, s; ``log_time`` includes them."""
-
-    def record(self) -> dict[str, str]:
-        """Return the metadata record."""
-        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:
@@ -182,7 +186,7 @@ class OutageTime(Config):
     """None if it lasted at the close of the file."""
 
 
-class BusRecord(Config):
+class BusRecord(_Record):
     """Events of the bus while a file was open, beside the messages."""
 
     outages: tuple[OutageTime, ...] = ()
@@ -190,10 +194,6 @@ class BusRecord(Config):
     unconfirmed: tuple[str, ...] = ()
     """Publishers of other software that ended: they do not say their last number, so that nobody knows
     whether it arrived. They are no reason against the file."""
-
-    def record(self) -> dict[str, str]:
-        """Return the metadata record."""
-        return {name: json.dumps(value) for name, value in self.model_dump(mode="json").items()}
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:
@@ -230,21 +230,21 @@ def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) ->
 
 
 def check_completeness(
-    statement: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
+    record: Mapping[str, str], counts: Mapping[str, str], messages: Mapping[str, int]
 ) -> Completeness:
-    """Check a closed file's statement of completeness against its counts and its messages.
+    """Check a closed file's record of completeness against its counts and its messages.
 
     Args:
-        statement: the record ``COMPLETENESS``, empty if there is none.
+        record: the record ``COMPLETENESS``, empty if there is none.
         counts: the record ``COUNTS``, empty if there is none.
         messages: number of messages in the file, by the channel's topic (MCAP's statistics).
 
     Returns:
-        The statement; each inconsistency is added to its reasons and makes it incomplete.
+        The record; each inconsistency is added to its reasons and makes it incomplete.
 
     Raises:
         ValueError: a record holds something else.
     """
-    said = Completeness.of_record(statement)
+    said = Completeness.of_record(record)
     account = {topic: TopicCount.model_validate_json(text) for topic, text in counts.items()}
-    return said.with_reasons(shortfalls(account, messages) if statement else ())
+    return said.with_reasons(shortfalls(account, messages) if record else ())

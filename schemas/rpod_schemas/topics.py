@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Protocol
 
-from rpod_schemas import qos
-from rpod_schemas.cdr import is_known, type_hash
-from rpod_schemas.qos import Qos
+from rpod_schemas.rmw import qos
+from rpod_schemas.rmw.cdr import is_known, type_hash
+from rpod_schemas.rmw.qos import Qos
 
 SENSOR_CACHE = 90
 """Number of images or point clouds that a publisher keeps for receivers that missed them: two seconds."""

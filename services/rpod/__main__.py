@@ -179,13 +179,36 @@ _add_service(
     "estimator", "rpod_schemas.config.estimator:EstimatorConfig", "Estimate poses from sensor messages."
 )
 _add_service(
-    "logger", "rpod_schemas.config.logger:LoggerConfig", "Record everything on the bus into MCAP files."
+    "logger",
+    "rpod_schemas.config.facility.logger:LoggerConfig",
+    "Record everything on the bus into MCAP files.",
 )
 _add_service(
     "proxy",
-    "rpod_schemas.config.proxy:ProxyConfig",
+    "rpod_schemas.config.facility.proxy:ProxyConfig",
     "Pass links of services on to the router, with faults on request.",
 )
+
+
+TargetOption = Annotated[
+    str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
+]
+WebOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--web/--native", help="Show a web page or a window; by default a window if there is a display."
+    ),
+]
+BindOption = Annotated[
+    str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
+]
+TokenOption = Annotated[
+    Path | None,
+    typer.Option("--token-file", help="File of the token for --bind on the network; made if not there."),
+]
+SaveOption = Annotated[
+    Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
+]
 
 
 @app.command()
@@ -197,32 +220,18 @@ def view(
     connect: ConnectOption = None,
     wait: WaitOption = False,
     credentials: CredentialsOption = None,
-    target: Annotated[
-        str | None, typer.Option("--target", help="Target whose mesh and wireframe are drawn.")
-    ] = None,
-    web: Annotated[
-        bool | None,
-        typer.Option(
-            "--web/--native", help="Show a web page or a window; by default a window if there is a display."
-        ),
-    ] = None,
-    bind: Annotated[
-        str | None, typer.Option("--bind", help="Address on which the viewer listens; 127.0.0.1 by default.")
-    ] = None,
-    token_file: Annotated[
-        Path | None,
-        typer.Option("--token-file", help="File of the token for --bind on the network; made if not there."),
-    ] = None,
-    save: Annotated[
-        Path | None, typer.Option("--save", help="Recording (.rrd) to write instead of a viewer.")
-    ] = None,
+    target: TargetOption = None,
+    web: WebOption = None,
+    bind: BindOption = None,
+    token_file: TokenOption = None,
+    save: SaveOption = None,
     start: Annotated[float, typer.Option("--from", help="First second of a log to show.")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="Last second of a log to show.")] = None,
     _no_limits: NoLimits = False,
 ) -> None:
     """Show the facility or a log: images, scene, errors, state."""
     from rpod.command_view import view_log
-    from rpod_schemas.config.view import ViewConfig
+    from rpod_schemas.config.facility.view import ViewConfig
 
     changes = {"target": target, "bind": bind, "token_file": token_file, "save": save}
     changes["viewer"] = None if web is None else "web" if web else "native"
@@ -230,7 +239,7 @@ def view(
     if logs:
         raise typer.Exit(view_log(logs, config=config, changes=given, start_s=start, end_s=end))
     from rpod_view import daemon
-    from rpod_view.scheduling import lower_priority
+    from rpod_view.viewer.scheduling import lower_priority
 
     lower_priority()
     _serve(

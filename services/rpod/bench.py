@@ -27,7 +27,6 @@ from rpod_pose.methods import methods_of
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.bus.session import free_endpoint, open_router
 from rpod_runtime.process.lifecycle import EXIT_OK
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
@@ -35,9 +34,10 @@ from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.messages import write_image
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import DEPTH, Namespace
 from rpod_schemas.types import LidarScan, PmdFrame
-from rpod_schemas.wire import Attachment
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target

@@ -13,13 +13,13 @@ from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.process.lifecycle import run as run_service
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.config.base import check, read_document
-from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_target import Target, TargetError, load_target
 from rpod_view.view import View
-from rpod_view.viewer import Viewer, open_viewer
+from rpod_view.viewer.viewer import Viewer, open_viewer
 
 log = logging.getLogger(__name__)
 

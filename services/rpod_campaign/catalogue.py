@@ -18,7 +18,7 @@ GROUP = "rpod.campaigns"
 BUILT_IN = (
     "lidar-acquisition",
     "lidar-trajectory",
-    "lidar-verdict",
+    "lidar-acceptance",
     "lidar-tracking",
     "lidar-robustness",
     "lidar-range",
@@ -27,7 +27,7 @@ BUILT_IN = (
     "pmd-sun",
     "pmd-robustness",
     "pmd-acquisition",
-    "pmd-verdict",
+    "pmd-acceptance",
     "population",
     "model-matrix",
     "limits",
@@ -35,6 +35,8 @@ BUILT_IN = (
     "faults",
 )
 """Names of this package's campaigns; the folder of each has the same name, with underscores."""
+RENAMED = {"lidar-verdict": "lidar-acceptance", "pmd-verdict": "pmd-acceptance"}
+"""Present names of campaigns by the names that they had before, which the command line still takes."""
 
 
 def names() -> tuple[str, ...]:

@@ -10,7 +10,7 @@
             return MyCamera(...)
 
 The frames go through the same judgement as ``rpod driver check``, without a bus. Truth does not come, so that
-what needs it is not judged.
+what needs it is not checked.
 """
 
 import time
@@ -19,7 +19,7 @@ from typing import Any, ClassVar, cast
 
 import pytest
 
-from rpod_driver.check import Level, Observations, Observer, Options, Verdict, judge
+from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import StraightNode
 from rpod_driver.ports import Adjustable, Counted, Drops, Synchronised
 from rpod_runtime import Node
@@ -53,9 +53,9 @@ class DriverContract:
         raise NotImplementedError("give the class a fixture `driver` that returns the driver")
 
     def test_the_check_finds_nothing_wrong(self, driver: Any) -> None:
-        """Frames of a few seconds, judged as ``rpod driver check`` does."""
-        verdicts = judge(self._watched(driver))
-        wrong = [each for each in verdicts if each.level is Level.FAIL and each.line not in self.expected]
+        """Frames of a few seconds, checked as ``rpod driver check`` does."""
+        results = judge(self._watched(driver))
+        wrong = [each for each in results if each.level is Level.FAIL and each.line not in self.expected]
         assert not wrong, "\n".join(_line(each) for each in wrong)
 
     def test_frames_come_and_no_item_takes_long(self, driver: Any) -> None:
@@ -124,5 +124,5 @@ def connected(driver: Any) -> Any:
         driver.close()
 
 
-def _line(verdict: Verdict) -> str:
-    return f"{verdict.line}: {verdict.text}; {verdict.remedy}"
+def _line(result: CheckResult) -> str:
+    return f"{result.line}: {result.text}; {result.remedy}"

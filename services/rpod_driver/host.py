@@ -15,12 +15,13 @@ from rpod_driver.ports import Counted, Driver, Synchronised
 from rpod_runtime import Node
 from rpod_runtime.process import lifecycle
 from rpod_runtime.process.notify import manager
-from rpod_runtime.sensor_data.thinning import ThinnedCamera
-from rpod_runtime.sensors import open_publisher
+from rpod_runtime.sensors import SensorPublisher, open_publisher
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.types import Health, PmdFrame, SensorFrame, SensorSync
+from rpod_schemas.registry import resolve
+from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.types import Health, SensorFrame, SensorSync
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +64,11 @@ class Host:
     def __init__(self, node: Node, driver: Driver, config: DriverConfig) -> None:
         self._node, self._driver, self._config = node, driver, config
         self._publisher = open_publisher(node, config.kind, config.name, config.T_chaser_sensor)
-        self._thinned = ThinnedCamera(node, config.name, config.thinned) if config.thinned else None
+        self._reduced: SensorPublisher | None = None
+        if config.reduced_rate is not None:
+            self._reduced = resolve(sensor_kind(config.kind).reduced_rate)(
+                node, config.name, config.reduced_rate
+            )
         self._commands = Commands(node, driver, config)
         self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         self._heard_s = time.monotonic()
@@ -111,8 +116,8 @@ class Host:
         try:
             self._check(frame, self._publisher.frame_type)
             self._publisher.publish(frame)
-            if self._thinned is not None and isinstance(frame, PmdFrame):
-                self._thinned.publish(frame)
+            if self._reduced is not None:
+                self._reduced.publish(frame)
         except MessageRejectedError as error:
             self._node.reject(self._config.name, error)
         else:

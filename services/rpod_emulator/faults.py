@@ -19,7 +19,7 @@ from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.faults import BOTH, AskedFault, Fault
+from rpod_schemas.faults import AskedFault, Fault
 from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import chained, make_pose
@@ -99,7 +99,7 @@ class Faults:
         fault, sensor = asked.kind, asked.sensor
         if not fault.of_sensor:
             raise RefusedError(f"{fault.name} is no fault of a sensor: {_INJECTOR[fault.subject]} injects it")
-        if not any(sensor in (None, name) and can_have(kind, fault) for name, kind in self.sensors.items()):
+        if not any(sensor in (None, name) and fault.can_be_in(kind) for name, kind in self.sensors.items()):
             known = ", ".join(f"{name} ({kind})" for name, kind in self.sensors.items())
             raise RefusedError(f"no sensor {sensor or ''} can have the fault {fault.name}; there are {known}")
         if self.in_lockstep and not fault.in_lockstep:
@@ -131,11 +131,6 @@ def turned(T_sensor_target: RigidTransform, active: Sequence[Window]) -> RigidTr
     angle_deg = sum(window.size or 0.0 for window in active if window.fault.name == "half_turn")
     turn = make_pose(rotation=Rotation.from_euler("x", angle_deg, degrees=True))
     return chained(T_sensor_target, turn) if angle_deg else T_sensor_target
-
-
-def can_have(kind: str, fault: Fault) -> bool:
-    """Return whether a sensor of a kind can have a fault; of other packages' kinds that is not known."""
-    return kind in fault.kinds or kind not in BOTH
 
 
 class FaultyNode:
@@ -179,7 +174,7 @@ class FaultyNode:
         sizes = {
             window.fault.name: window.size
             for window in self._faults.at(self._name, stamp_ns)
-            if window.fault.subject == "messages" and can_have(self._kind, window.fault)
+            if window.fault.subject == "messages" and window.fault.can_be_in(self._kind)
         }
         for over in self._injections.keys() - sizes.keys():
             del self._injections[over]

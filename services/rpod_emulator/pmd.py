@@ -6,7 +6,7 @@ from functools import partial
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Node
-from rpod_runtime.sensor_data.thinning import ThinnedCamera
+from rpod_runtime.sensor_data.reduced_rate import ReducedRateCamera
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
@@ -38,8 +38,8 @@ class PmdChannel:
         self._publisher = CameraPublisher(
             node, sensor.name, T_chaser_sensor=sensor.published_mount, info=sensor.info()
         )
-
-        self._thinned = ThinnedCamera(node, sensor.name, sensor.thinned) if sensor.thinned else None
+        reduced = sensor.reduced_rate
+        self._reduced = None if reduced is None else ReducedRateCamera(node, sensor.name, reduced)
 
     def show(self, target: Target) -> None:
         """Show another target from the next frame on."""
@@ -67,6 +67,6 @@ class PmdChannel:
             camera=self.sensor.camera,
         )
         self._publisher.publish(frame, samples=exposure.samples if self._with_samples else None)
-        if self._thinned is not None:
-            self._thinned.publish(frame)
+        if self._reduced is not None:
+            self._reduced.publish(frame)
         self._spare.append(exposure)

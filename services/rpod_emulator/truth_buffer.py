@@ -8,10 +8,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.errors import TruthGapError
 from rpod_runtime import Received
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_pose
 from rpod_schemas.poses import between
+from rpod_schemas.rmw.cdr import peek_stamp
 
 MAX_GAP_S = 0.008
 """Longest time between two samples of truth between which a pose is interpolated (ICD section 1)."""

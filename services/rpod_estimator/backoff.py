@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import LidarScan, SensorFrame
+from rpod_schemas.types import SensorFrame
 
 PATIENCE_S = 10.0
 """Time of searches in vain before they rest."""
@@ -94,9 +94,8 @@ def content(frame: SensorFrame) -> FloatArray:
 def _image(frame: SensorFrame) -> NDArray[Any]:
     if frame.images:
         return np.asarray(frame.images[0].values, np.float32)
-    if isinstance(frame, LidarScan) and frame.organised:
-        range_m: NDArray[Any] = np.linalg.norm(frame.points_m, axis=-1)
-        return range_m
+    if frame.range_image_m is not None:
+        return frame.range_image_m
     returns_m = frame.returns_m
     up, right = (np.arctan2(returns_m[:, axis], returns_m[:, 2]) for axis in (1, 0))
     sums, counts = (

@@ -4,14 +4,14 @@ import time
 from contextlib import ExitStack
 from threading import Event
 
-from rpod_estimator.body_input import BodyInput, BodyReport
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.imu_input import ImuInput
+from rpod_estimator.inputs.bodies import BodyInput, BodyReport
+from rpod_estimator.inputs.imu import ImuInput
+from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_estimator.live_searches import LiveSearches, Worker
 from rpod_estimator.outputs import Outputs
 from rpod_estimator.search_process import SearchProcess
-from rpod_estimator.subscriptions import Subscriptions
 from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node

@@ -35,7 +35,7 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Integrity, Mode
 from rpod_target import Target
-from rpod_target.topology import areas_m2
+from rpod_target.mesh.topology import areas_m2
 
 log = logging.getLogger(__name__)
 

@@ -19,11 +19,11 @@ from rpod_runtime.delivery.holders import Announcements, Peer
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
+from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, SensorFrame

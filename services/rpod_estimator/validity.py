@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.input_book import AT_ONCE
+from rpod_estimator.inputs.book import AT_ONCE
 from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock
 from rpod_runtime.clock import Clock

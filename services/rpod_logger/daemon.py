@@ -18,7 +18,7 @@ from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.process.lifecycle import Stop
 from rpod_runtime.process.notify import manager
 from rpod_runtime.ros import trigger
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply
 from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.messages import NANOSECONDS

@@ -24,7 +24,7 @@ from rpod_runtime import Received
 from rpod_runtime.delivery.accounting import SequenceAccount
 from rpod_runtime.health import HealthBook
 from rpod_runtime.process.reloading import reloader
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.errors import Reason
 from rpod_schemas.reload import ReloadReply

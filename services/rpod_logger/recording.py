@@ -28,8 +28,8 @@ from rpod_schemas.logs import (
     TopicCount,
     shortfalls,
 )
+from rpod_schemas.rmw.wire import UNNUMBERED
 from rpod_schemas.topics import Namespace
-from rpod_schemas.wire import UNNUMBERED
 
 _NOTHING = Endings()
 _MOST_PUBLISHERS = 10_000
@@ -169,7 +169,7 @@ class Recording:
         reasons: tuple[str, ...] = (),
         endings: Endings = _NOTHING,
     ) -> None:
-        """Add the counts and the statement of completeness, and finish the file.
+        """Add the counts and the record of completeness, and finish the file.
 
         Args:
             closed_at: the totals at this moment.
@@ -182,7 +182,7 @@ class Recording:
         if self._unlisted:
             reasons += (f"more than {_MOST_PUBLISHERS:,} publishers: not all of them are listed",)
         reasons += endings.reasons + shortfalls(counts, written)
-        statement = Completeness(
+        completeness = Completeness(
             complete=not reasons,
             reasons=reasons,
             continues=self._continues,
@@ -193,5 +193,5 @@ class Recording:
         outages = tuple(OutageTime(begin_ns=each.begin_ns, end_ns=each.end_ns) for each in endings.outages)
         bus = BusRecord(outages=outages, unconfirmed=endings.unconfirmed)
         self.file.add_metadata(BUS, bus.record())
-        self.file.add_metadata(COMPLETENESS, statement.record())
+        self.file.add_metadata(COMPLETENESS, completeness.record())
         self.file.close()

@@ -18,8 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from rpod_logger.disk import DiskFile
 from rpod_runtime import Received
-from rpod_schemas.cdr import definition
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.logs import (
     ENCODING_METADATA,
     GID_METADATA,
@@ -33,6 +32,7 @@ from rpod_schemas.logs import (
     SCHEMA_ENCODING,
     SESSION_METADATA,
 )
+from rpod_schemas.rmw.cdr import definition
 from rpod_schemas.topics import ABSOLUTE_TOPICS, OF_MANY, Namespace, Topic
 from rpod_security.log_chain import ChainWriter, Key
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from rpod_motion.errors import MotionError
-from rpod_motion.trajectory import TrajectoryState
+from rpod_motion.trajectories.trajectory import TrajectoryState
 from rpod_schemas.arrays import FloatArray
 
 RELATIVE_TOLERANCE = 1e-12

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_motion.approach import Approach
 from rpod_motion.attitude import FixedAttitude, Spin, Sway, TargetAttitude, integrate_tumble
 from rpod_motion.errors import MotionError
-from rpod_motion.relative_orbit import cross
-from rpod_motion.station_keeping import StationKeeping
-from rpod_motion.synchronised import Slewing, Synchronised
-from rpod_motion.trajectory import Trajectory
+from rpod_motion.trajectories.approach import Approach
+from rpod_motion.trajectories.relative_orbit import cross
+from rpod_motion.trajectories.station_keeping import StationKeeping
+from rpod_motion.trajectories.synchronised import Slewing, Synchronised
+from rpod_motion.trajectories.trajectory import Trajectory
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import (
     ApproachConfig,

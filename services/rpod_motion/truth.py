@@ -9,7 +9,6 @@ from rpod_motion.imu import Imu
 from rpod_motion.motion import Motion
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.motion import BodyMotionConfig
 from rpod_schemas.messages import (
     NANOSECONDS,
@@ -18,6 +17,7 @@ from rpod_schemas.messages import (
     write_transforms,
     write_vector_stamped,
 )
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import CHASER, IMU, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
 from rpod_schemas.types import Joints, Odometry
 

@@ -4,6 +4,6 @@ The functions are pure and use no bus, no clock and no log, so the daemon, a rep
 same code.
 """
 
-from rpod_schemas.kernel_cache import watch_callees
+from rpod_schemas.caches.kernels import watch_callees
 
 watch_callees()

@@ -9,7 +9,7 @@ from rpod_proxy.relay import Address, Relay
 from rpod_runtime import Node
 from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.process.notify import manager
-from rpod_schemas.config.proxy import ProxyConfig
+from rpod_schemas.config.facility.proxy import ProxyConfig
 from rpod_schemas.control import Accepted, FaultRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.types import Health

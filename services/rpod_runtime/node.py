@@ -41,9 +41,9 @@ from rpod_schemas.control import Accepted, Empty, StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_diagnostics
 from rpod_schemas.reload import ReloadReply
+from rpod_schemas.rmw.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, SENSOR_CACHE, Service, Topic
 from rpod_schemas.types import CLOSING, PUBLISHED, Health
-from rpod_schemas.wire import GraphNode, publisher_tokens, qos_of_token, session_of_token, topic_of_token
 
 log = logging.getLogger(__name__)
 

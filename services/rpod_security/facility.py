@@ -7,11 +7,11 @@ from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.config.proxy import ProxyConfig
-from rpod_schemas.config.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
+from rpod_schemas.config.facility.proxy import ProxyConfig
+from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError

@@ -44,7 +44,7 @@ class _Seal(Config):
 
 
 @dataclass
-class Verdict:
+class Verification:
     """Result of the comparison."""
 
     log: Path
@@ -65,7 +65,7 @@ class Verdict:
         return not self.problems
 
 
-def verify(log: Path, *, authority: Path | None = None) -> Verdict:
+def verify(log: Path, *, authority: Path | None = None) -> Verification:
     """Compare a log with its chain.
 
     Args:
@@ -85,7 +85,7 @@ class _Check:
     def __init__(self, log: Path, authority: Path | None, lines: list[bytes]) -> None:
         self._log, self._authority = log, authority
         self._lines = lines
-        self._verdict = Verdict(log)
+        self._result = Verification(log)
         self._before = FIRST
         self._signatory: Any = None
 
@@ -102,7 +102,7 @@ class _Check:
             ) from error
         return cls(log, authority, text.splitlines())
 
-    def run(self) -> Verdict:
+    def run(self) -> Verification:
         if not self._lines:
             raise ChainError(chain_of(self._log), "is empty")
         self._meet(self._head())
@@ -111,7 +111,7 @@ class _Check:
             last = self._compare(stream)
             rest = stream.seek(0, 2) - (last.size if last else 0)
         self._conclude(last, rest)
-        return self._verdict
+        return self._result
 
     def _head(self) -> _Head:
         try:
@@ -121,7 +121,7 @@ class _Check:
 
     def _read(self, number: int) -> dict[str, Any]:
         """Return a line, and check that it follows the one before and is signed."""
-        text, say = self._lines[number], self._verdict.problems.append
+        text, say = self._lines[number], self._result.problems.append
         try:
             line = json.loads(text)
             (_Seal if number else _Head).model_validate(line)
@@ -139,30 +139,30 @@ class _Check:
 
     def _meet(self, head: _Head) -> None:
         """Judge the first line: who signed, and which log comes before."""
-        verdict = self._verdict
+        result = self._result
         if head.version != 1:
             raise ChainError(chain_of(self._log), f"is of version {head.version}; this software reads 1")
         if head.log != self._log.name:
-            verdict.notes.append(f"it was recorded as {head.log}")
+            result.notes.append(f"it was recorded as {head.log}")
         if head.continues is not None:
             before = self._log.with_name(head.continues)
             if not chain_of(before).exists():
-                verdict.notes.append(f"{head.continues}, which it continues, is not beside it")
+                result.notes.append(f"{head.continues}, which it continues, is not beside it")
             elif last_digest(before) != head.continued:
-                verdict.problems.append(f"the chain of {head.continues}, which it continues, was changed")
+                result.problems.append(f"the chain of {head.continues}, which it continues, was changed")
         if head.certificate is None:
-            verdict.notes.append("the chain has no signatures: it shows damage, but not forgery")
+            result.notes.append("the chain has no signatures: it shows damage, but not forgery")
             if self._authority is not None:
-                verdict.problems.append("an authority was given, but nobody signed the chain")
+                result.problems.append("an authority was given, but nobody signed the chain")
             return
         from rpod_security.log_signature import Signatory  # noqa: PLC0415 - of an extra
 
         self._signatory = Signatory(chain_of(self._log), head.certificate)
-        verdict.signed_by = self._signatory.identity.common_name
+        result.signed_by = self._signatory.identity.common_name
         if self._authority is None:
-            verdict.notes.append("whose certificate that is was not checked: give the authority's")
+            result.notes.append("whose certificate that is was not checked: give the authority's")
         elif reason := self._signatory.rejection(self._authority, when=head.time.astimezone(UTC)):
-            verdict.problems.append(reason)
+            result.problems.append(reason)
 
     def _compare(self, stream: IO[bytes]) -> _Seal | None:
         """Compare the log's bytes with the chain; return the last line about them."""
@@ -171,32 +171,32 @@ class _Check:
             seal = _Seal.model_validate(self._read(number))
             begin = last.size if last else 0
             if last is not None and last.closed:
-                self._verdict.problems.append(f"line {number + 1} of the chain comes after its end")
+                self._result.problems.append(f"line {number + 1} of the chain comes after its end")
             digest, found = _digest(stream, seal.size - begin)
             if found < seal.size - begin:
-                self._verdict.problems.append(
+                self._result.problems.append(
                     f"the log ends at byte {begin + found}, {seal.size} were written"
                 )
                 return seal
             if digest != seal.sha256:
                 when = seal.time.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-                self._verdict.problems.append(
+                self._result.problems.append(
                     f"bytes {begin} to {seal.size} are not those that were written before {when}"
                 )
-            elif self._verdict.verified_bytes == begin:
-                self._verdict.verified_bytes = seal.size
+            elif self._result.verified_bytes == begin:
+                self._result.verified_bytes = seal.size
             last = seal
         return last
 
     def _conclude(self, last: _Seal | None, rest: int) -> None:
-        verdict = self._verdict
-        verdict.closed = last is not None and last.closed
-        if rest > 0 and verdict.closed:
-            verdict.problems.append(f"{rest} bytes were added after the log was closed")
+        result = self._result
+        result.closed = last is not None and last.closed
+        if rest > 0 and result.closed:
+            result.problems.append(f"{rest} bytes were added after the log was closed")
         elif rest > 0:
-            verdict.notes.append(f"the last {rest} bytes came after the last sync, and are not covered")
-        if not verdict.closed:
-            verdict.notes.append("the chain has no end: the logger was killed, or the end was cut off")
+            result.notes.append(f"the last {rest} bytes came after the last sync, and are not covered")
+        if not result.closed:
+            result.notes.append("the chain has no end: the logger was killed, or the end was cut off")
 
 
 def _digest(stream: IO[bytes], size: int) -> tuple[str, int]:

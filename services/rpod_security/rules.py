@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import zenoh
 
+from rpod_schemas.rmw.wire import publisher_tokens, token_pattern
 from rpod_schemas.topics import (
     BODY,
     CLOCK,
@@ -29,7 +30,6 @@ from rpod_schemas.topics import (
     Namespace,
     Topic,
 )
-from rpod_schemas.wire import publisher_tokens, token_pattern
 from rpod_security.errors import RulesError
 from rpod_security.roles import ANY, LINK, ROUTER, Member
 

@@ -10,13 +10,13 @@ from threading import Event
 
 from rpod_runtime import Inbox, Node
 from rpod_runtime.process.notify import manager
-from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH
 from rpod_target import Target, TargetError, load_target
 from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View
-from rpod_view.viewer import open_viewer
+from rpod_view.viewer.viewer import open_viewer
 
 log = logging.getLogger(__name__)
 

@@ -54,7 +54,7 @@ class Plots:
             static=True,
         )
         recording.log(
-            f"{STATE}/verdict",
+            f"{STATE}/acceptance",
             _lane({"accepted": palette.MODES[Mode.TRACKING], "rejected": palette.MODES[Mode.LOST]}),
             static=True,
         )
@@ -115,7 +115,7 @@ class Plots:
             self._event(f"{status.mode.name}", _LEVELS[status.mode])
         if status.sensor:
             self._change("source", SOURCES[status.source])
-            self._change("verdict", "accepted" if status.accepted else "rejected")
+            self._change("acceptance", "accepted" if status.accepted else "rejected")
             if not status.accepted and self._is_new("reason", status.reason.partition(":")[0]):
                 self._event(f"{status.sensor} rejected: {status.reason}", rr.TextLogLevel.WARN)
 

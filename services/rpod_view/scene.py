@@ -16,7 +16,6 @@ from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import (
     read_diagnostics,
@@ -26,6 +25,7 @@ from rpod_schemas.messages import (
     read_transforms,
 )
 from rpod_schemas.poses import pose_error
+from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.sensors import SensorKind, sensor_kinds
 from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, INTEGRITY, STATUS, TARGET, TF, TF_STATIC, TRUTH, Topic
 from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Integrity, Odometry, SensorFrame

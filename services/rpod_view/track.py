@@ -5,8 +5,8 @@ from itertools import islice
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.poses import between
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 _BASE_NS = 100_000_000
 """Time span from which the velocity for a prediction is computed; long enough not to amplify noise."""

@@ -3,6 +3,6 @@
 They are pure functions of poses, configuration and a seed; they use no bus, no clock and no logger.
 """
 
-from rpod_schemas.kernel_cache import watch_callees
+from rpod_schemas.caches.kernels import watch_callees
 
 watch_callees()

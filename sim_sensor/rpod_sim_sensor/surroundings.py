@@ -11,11 +11,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.surroundings import BoxThing, CylinderThing, MeshThing, Thing
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_target import Material, Target
-from rpod_target.mesh_files import surface_m
+from rpod_target.build.surfaces import box_surface, cylinder_surface
+from rpod_target.mesh.files import surface_m
+from rpod_target.mesh.topology import unit_normals
 from rpod_target.parameters import BoxParameters, CylinderParameters
-from rpod_target.surfaces import box_surface, cylinder_surface
 from rpod_target.target import Int32Array
-from rpod_target.topology import unit_normals
 
 _F0, _ROUGHNESS = 0.04, 0.6
 """Specular reflectance and roughness of paint; assumed."""

@@ -14,13 +14,13 @@ import numpy as np
 import yaml
 
 from rpod_schemas.arrays import Array
-from rpod_schemas.cache_folder import cache_folder
+from rpod_schemas.caches.folder import cache_folder
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
-from rpod_target.mesh_files import MeshFile, companions
+from rpod_target.mesh.files import MeshFile, companions
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Joint, Material, Target
 from rpod_target.variation import Variation, split
@@ -270,7 +270,7 @@ def _build(
     variation: Variation | None,
 ) -> dict[str, Array]:
     try:
-        from rpod_target.building import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
+        from rpod_target.build.arrays import build_arrays  # noqa: PLC0415 - a warm start must not pay for Open3D
     except ImportError as error:
         reason = f"is not in the cache yet, and building it needs Open3D: install rpod[target] ({error})"
         raise TargetError(path, "", reason) from error

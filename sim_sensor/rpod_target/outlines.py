@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
+from rpod_target.mesh.topology import Indices, areas_m2, components, directed_edges, unit_normals, welded
 from rpod_target.target import Target
-from rpod_target.topology import Indices, areas_m2, components, directed_edges, unit_normals, welded
 
 ROUND_CORNERS = 12
 """Least number of corners, equally far from their mean, of an outline that is a circle."""

@@ -11,7 +11,7 @@ from rpod_target.errors import TargetError
 from rpod_target.target import Target
 
 _FAR, _BETTER = 0.01, 0.5
-"""Distance of a model's surface from the target's, over the longest side, from which axes are doubted; and
+"""Distance of a model's surface from the target's, over the longest side, from which axes may differ; and
 the share of it that other axes must leave to be the right ones."""
 _ALIKE = 1e-3
 """Difference of two such distances, over the longest side, below which the smaller turn is told."""

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import Array, FloatArray
+from rpod_target.mesh.topology import areas_m2
 from rpod_target.target import Target
-from rpod_target.topology import areas_m2
 from rpod_target.visibility import as_tensor, scene_of
 
 _ORDERS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12)

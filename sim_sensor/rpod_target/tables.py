@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.arrays import Array
-from rpod_schemas.cache_folder import cache_folder
+from rpod_schemas.caches.folder import cache_folder
 from rpod_target import cache as store
 from rpod_target.target import Target
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.base import Config
-from rpod_target.topology import areas_m2
+from rpod_target.mesh.topology import areas_m2
 
 SIGN = "@"
 _TERM = re.compile(r"@([A-Za-z_]+)(?:=([^@/]*))?$")

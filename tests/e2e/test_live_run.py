@@ -14,8 +14,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from rpod_analysis.log import open_log
-from rpod_schemas.cdr import peek_stamp, typestore
 from rpod_schemas.messages import read_diagnostics, read_status
+from rpod_schemas.rmw.cdr import peek_stamp, typestore
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import (
     CAMERA_INFO,

@@ -18,9 +18,9 @@ from mcap.reader import make_reader
 
 from rpod.scenarios import find
 from rpod_analysis.log import open_log
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.replay import ReplayReport
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import (
     CLOCK,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rpod_schemas.cdr import decode, encode
+from rpod_schemas.rmw.cdr import decode, encode
 
 NUMBERS: tuple[float, ...] = (
     0, 1, -1, 2, 255, 2**16, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, -(2**63), 2**64,

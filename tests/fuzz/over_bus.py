@@ -24,9 +24,9 @@ from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.bus.session import open_client
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.messages import read_status
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.topics import STATUS, Topic
 from rpod_schemas.types import Mode
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 SCENARIO = "mockup-tumbling"
 TRACKING_S = 2.0

@@ -10,8 +10,8 @@ from malformed_logs import INFO, write_good
 from mcap.reader import make_reader
 from synthetic_log import SyntheticRun
 
-from rpod_schemas.cdr import encode
 from rpod_schemas.messages import write_joints, write_lidar_info, write_validity
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,

@@ -23,11 +23,10 @@ from rpod_runtime.delivery.accounting import DuplicateError, JumpError, Sequence
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.health import HealthBook
 from rpod_schemas import control
-from rpod_schemas.cdr import decode, peek_stamp
 from rpod_schemas.config.base import load
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import RouterConfig
 from rpod_schemas.errors import ConfigurationError, MessageRejectedError
@@ -47,8 +46,8 @@ from rpod_schemas.messages import (
     read_validity,
     read_vector_stamped,
 )
-from rpod_schemas.topics import DIAGNOSTICS, Namespace, Topic
-from rpod_schemas.wire import (
+from rpod_schemas.rmw.cdr import decode, peek_stamp
+from rpod_schemas.rmw.wire import (
     GID_BYTES,
     Attachment,
     GraphNode,
@@ -56,6 +55,7 @@ from rpod_schemas.wire import (
     topic_of_token,
     unpack_attachment,
 )
+from rpod_schemas.topics import DIAGNOSTICS, Namespace, Topic
 from rpod_target import load_equivalence, shipped_targets
 
 READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {

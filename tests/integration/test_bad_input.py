@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_estimator.daemon import run
 from rpod_geometry.rays import RayGrid, cast
 from rpod_runtime import Inbox
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig, NavigatorConfig, PmdInput
 from rpod_schemas.control import Accepted, ResetRequest, StatusReply
 from rpod_schemas.messages import (
@@ -25,6 +24,8 @@ from rpod_schemas.messages import (
     write_transforms,
 )
 from rpod_schemas.poses import make_pose, pose_error
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
@@ -36,7 +37,6 @@ from rpod_schemas.topics import (
     Namespace,
 )
 from rpod_schemas.types import Camera, EstimatorStatus, Mode, Source
-from rpod_schemas.wire import Attachment
 from rpod_target import Target, load_target
 
 KEYS = Namespace()

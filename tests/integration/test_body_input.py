@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from live_bus import TIMEOUT_S
 
-from rpod_estimator.body_input import BodyInput
+from rpod_estimator.inputs.bodies import BodyInput
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.config.surroundings import KnownBody

@@ -1,4 +1,4 @@
-"""Whether a log's statement is true: who ends, when and how, against what the publisher itself counted."""
+"""Whether a log's record of completeness is true, whoever ends: it is compared with the publisher's count."""
 
 import json
 import secrets
@@ -17,14 +17,14 @@ from logger_desk import completeness, metadata, read
 from rpod_logger.daemon import run
 from rpod_runtime import QueryFailedError
 from rpod_runtime.bus.session import open_client
-from rpod_schemas.cdr import encode
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig
 from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.logs import BUS
 from rpod_schemas.messages import write_clock
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment, GraphNode
 from rpod_schemas.topics import CLOCK
-from rpod_schemas.wire import Attachment, GraphNode
 
 
 class Scene:

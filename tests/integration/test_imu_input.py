@@ -5,7 +5,7 @@ from time import monotonic
 import numpy as np
 from live_bus import TIMEOUT_S
 
-from rpod_estimator.imu_input import ImuInput
+from rpod_estimator.inputs.imu import ImuInput
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.messages import write_imu

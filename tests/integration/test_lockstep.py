@@ -16,7 +16,6 @@ from rpod_estimator.daemon import run as run_estimator
 from rpod_logger.selection import patterns
 from rpod_motion.daemon import run as run_motion
 from rpod_runtime import Inbox, QueryFailedError, Received
-from rpod_schemas.cdr import encode, peek_stamp
 from rpod_schemas.config.emulator import (
     EmulatorConfig,
     LockstepConfig,
@@ -30,6 +29,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode, peek_stamp
 from rpod_schemas.schedule import lockstep_steps
 from rpod_schemas.topics import DEPTH, DIAGNOSTICS, PARAMETER_EVENTS, POINTS, ROSOUT, STATUS
 from rpod_schemas.types import Camera, EstimatorStatus

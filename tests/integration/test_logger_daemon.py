@@ -16,16 +16,16 @@ from rpod_logger.daemon import run
 from rpod_runtime import Inbox, QueryFailedError
 from rpod_runtime.process.reloading import reloader
 from rpod_runtime.sensors import CameraPublisher
-from rpod_schemas.cdr import encode, type_hash
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.control import LogReply, LogRequest, StatusReply
 from rpod_schemas.logs import TopicCount
 from rpod_schemas.messages import read_diagnostics, write_clock
 from rpod_schemas.poses import make_pose
 from rpod_schemas.reload import ReloadReply
+from rpod_schemas.rmw.cdr import encode, type_hash
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE
 from rpod_schemas.types import Camera, Health, PmdFrame, PmdInfo
-from rpod_schemas.wire import Attachment
 
 TIMEOUT_S = 60.0
 CAMERA = Camera(width=352, height=287, fx=400.0, fy=400.0, cx=175.5, cy=143.0)

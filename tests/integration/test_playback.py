@@ -12,10 +12,10 @@ from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import Playback, play, replay
 from rpod_estimator.daemon import run as run_estimator
 from rpod_runtime import Inbox
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import REPLAY
 from rpod_schemas.messages import read_diagnostics
+from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.topics import CLOCK, DEPTH, DIAGNOSTICS, ESTIMATE, STATUS, TF_STATIC, TRUTH
 from rpod_schemas.types import Camera
 from rpod_target import load_target

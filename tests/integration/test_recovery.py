@@ -7,8 +7,8 @@ from live_bus import TIMEOUT_S
 
 from rpod_runtime import Node
 from rpod_runtime.delivery.accounting import Count
-from rpod_schemas.cdr import encode
 from rpod_schemas.messages import write_image
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import DEPTH, SENSOR_CACHE
 
 TOPIC = DEPTH.of("pmd")

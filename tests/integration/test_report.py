@@ -89,7 +89,7 @@ def test_every_section_and_every_figure_has_an_id_of_its_own(page, body):
     assert page.count("Plotly.newPlot(") == len(figures) + get_own_mentions(page)
     for name in figures:
         assert body.count(f'id="figure-{name}"') == 1
-    for name in ("verdict", *figures, "snapshots", "frames", "completeness", "configuration"):
+    for name in ("outcome", *figures, "snapshots", "frames", "completeness", "configuration"):
         assert body.count(f'id="{name}"') == 1
 
 

@@ -20,7 +20,7 @@ from rpod_runtime.errors import RefusedError
 from rpod_runtime.ros import RESET_SERVICE, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.rosout import RosoutHandler
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.control import Accepted, Empty, LogReply, LogRequest, ResetRequest, StatusReply
 from rpod_schemas.topics import COMMAND, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, SUN

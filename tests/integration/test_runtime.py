@@ -12,7 +12,6 @@ from live_bus import TIMEOUT_S, collect, first
 
 from rpod_runtime import Inbox, Node
 from rpod_runtime.bus.session import open_client
-from rpod_schemas.cdr import encode
 from rpod_schemas.messages import (
     read_diagnostics,
     read_vector_stamped,
@@ -21,9 +20,10 @@ from rpod_schemas.messages import (
     write_vector_stamped,
 )
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment, topic_of_token
 from rpod_schemas.topics import CLOCK, COMMAND, DIAGNOSTICS, SMALL_CACHE, SUN, TRUTH, Namespace, Topic
 from rpod_schemas.types import Health, Odometry
-from rpod_schemas.wire import Attachment, topic_of_token
 
 KEYS = Namespace()
 VECTOR = "geometry_msgs/msg/Vector3Stamped"

@@ -12,8 +12,8 @@ import zenoh
 import zenoh.ext
 from secure_bus import KEYS, SecureBus, members, secure_bus
 
+from rpod_schemas.rmw.wire import Attachment, GraphNode
 from rpod_schemas.topics import TOPICS, TRUTH_TOPICS, Topic
-from rpod_schemas.wire import Attachment, GraphNode
 
 ICD = Path(__file__).parents[2] / "schemas" / "ICD.md"
 TIMEOUT_S = 60.0

@@ -14,10 +14,10 @@ from live_bus import TIMEOUT_S, collect
 
 from rpod_runtime import Inbox
 from rpod_runtime.bus.session import open_client
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.service import ESTIMATOR_ID, BusConfig
 from rpod_schemas.messages import write_joints, write_odometry, write_transforms, write_vector_stamped
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import REFERENCE, SUN, TF, TRUTH, TRUTH_JOINTS, TRUTH_TOPICS, Namespace, Topic
 from rpod_schemas.types import Joints, Odometry
 

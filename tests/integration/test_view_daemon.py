@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Inbox, QueryFailedError
 from rpod_runtime.sensors import CameraPublisher
-from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import read_diagnostics
 from rpod_schemas.topics import DEPTH, DIAGNOSTICS

@@ -9,7 +9,7 @@ from rpod.play.draining import await_logged
 from rpod_runtime import QueryFailedError
 from rpod_schemas.control import StatusReply
 
-PUBLISHED = {"published/truth/odometry": 100, "published/thinned/image_raw": 7}
+PUBLISHED = {"published/truth/odometry": 100, "published/slow/image_raw": 7}
 
 
 class Bus:

@@ -7,7 +7,7 @@ from rpod.errors import AlreadyUpError
 from rpod.up.daemon import Backoff
 from rpod.up.host_state import FacilityStatus, held, holder, read_status, write_status
 from rpod.up.resolved import resolve_facility
-from rpod_schemas.config.facility import BackoffConfig
+from rpod_schemas.config.facility.hosts import BackoffConfig
 from rpod_schemas.errors import ConfigurationError
 
 ESTIMATOR = {"target": "mockup", "sensors": [{"kind": "pmd"}]}

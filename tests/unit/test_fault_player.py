@@ -11,8 +11,8 @@ from rpod.play.facility import configure
 from rpod.play.fault_player import FaultPlayer
 from rpod.scenarios import find
 from rpod_runtime.errors import RefusedError
+from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.faults.injected import read_faults
@@ -127,9 +127,9 @@ def test_a_fault_of_a_service_that_a_run_does_not_have_is_refused():
         scenario({"fault": "link_delay", "service": "router", "duration_s": 1})
 
 
-def test_a_slow_link_is_set_on_both_sides_and_a_thinned_stream_is_recorded():
+def test_a_slow_link_is_set_on_both_sides_and_a_stream_of_reduced_rate_is_recorded():
     document = dict(find("mockup-tumbling"))
-    camera = document["sensors"][0].model_copy(update={"thinned": ThinnedConfig(mbit_s=8)})
+    camera = document["sensors"][0].model_copy(update={"reduced_rate": ReducedRateConfig(mbit_s=8)})
     run = Scenario.model_validate(document | {"link": "slow", "sensors": (camera,)})
     facility = configure(run, directory=Path(), speed="1")
     links = [facility.router.link, *(service.bus.link for service in facility.services.values())]

@@ -1,5 +1,7 @@
+import ast
 import re
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -13,15 +15,60 @@ COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 
 CROWDED = 15
 """Most modules of a folder in which a reader still finds a file."""
-BUSY = {"rpod_pose", "rpod_campaign", "rpod_analysis", "rpod_runtime", "rpod"}
-ROOMS = sorted({file.parent for file in SOURCES if BUSY & set(file.relative_to(ROOT).parts)})
+ROOMS = sorted({file.parent for file in SOURCES})
+POSE = [file for file in SOURCES if "rpod_pose" in file.parts]
+LONG_FUNCTION = 50
+"""Most lines of a function, without its docstring."""
+LONG = 400
+"""Most lines of a module that a reader still surveys."""
 NO_CODE = {"rpod_msgs"}
 """Definitions of messages, which import nothing."""
 
 
 @pytest.mark.parametrize("folder", ROOMS, ids=lambda folder: str(folder.relative_to(ROOT)))
-def test_no_folder_of_a_large_package_is_crowded(folder):
+def test_no_folder_is_crowded(folder):
     assert len(list(folder.glob("*.py"))) <= CROWDED
+
+
+def _code_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return the number of a function's lines without its docstring."""
+    first = function.body[0]
+    told = first.end_lineno - first.lineno + 1 if ast.get_docstring(function) else 0
+    return function.end_lineno - function.lineno + 1 - told
+
+
+def test_no_function_is_long():
+    lines = {
+        f"{file.relative_to(ROOT)}: {node.name}": _code_lines(node)
+        for file in SOURCES
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert not {name: number for name, number in lines.items() if number > LONG_FUNCTION}
+
+
+def _is_number(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+@pytest.mark.parametrize("file", POSE, ids=lambda file: str(file.relative_to(ROOT)))
+def test_a_number_of_pose_estimation_says_what_it_is(file):
+    body = ast.parse(file.read_text("utf-8")).body
+    mute = [
+        ast.unparse(node)
+        for node, after in pairwise([*body, ast.Pass()])
+        if isinstance(node, ast.Assign) and any(map(_is_number, ast.walk(node))) and not _is_text(after)
+    ]
+    assert not mute
+
+
+def test_no_module_is_long():
+    lines = {str(file.relative_to(ROOT)): file.read_text("utf-8").count("\n") for file in SOURCES}
+    assert not {name: number for name, number in lines.items() if number > LONG}
 
 
 def test_every_package_stands_in_the_contract_of_layers():

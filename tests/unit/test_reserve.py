@@ -11,7 +11,7 @@ from rpod.up.reserve import AFTER_S, PAUSE_S, Reserve
 from rpod_runtime.errors import NotNeededError
 from rpod_runtime.process import reserve as waiting
 from rpod_runtime.process.notify import manager
-from rpod_schemas.config.facility import FacilityService
+from rpod_schemas.config.facility.hosts import FacilityService
 
 READER = "import sys; sys.exit(7 if sys.stdin.read(1) else 0)"
 ENDS = "import sys; sys.exit(3)"

@@ -12,11 +12,11 @@ from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
 from rpod_analysis.recovery import recover
 from rpod_runtime import Received
-from rpod_schemas.cdr import encode
 from rpod_schemas.messages import NANOSECONDS, write_clock
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.summary import Summary
 from rpod_schemas.topics import CLOCK, Namespace, Topic
-from rpod_schemas.wire import Attachment
 
 HERE = Path(__file__).parent
 RUN_TIMEOUT_S = 400.0

@@ -107,6 +107,10 @@ def _check_size(document: Any, path: Path) -> None:
     raise ConfigurationError(path, "", _TOO_DEEP)
 
 
+RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict": "acceptance"}
+"""Present names of fields of configuration files by the names that they had."""
+
+
 def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     """Validate a document against a model.
 
@@ -153,6 +157,8 @@ def _unknown(model: type[BaseModel], document: Any, location: Sequence[int | str
     """Return what to do about a field that is not known: its new place, or the nearest known name."""
     if _is_tuning(model, document, location):
         return f"is a tuning field now: write it as {_place((*location[:-1], 'tuning', location[-1]))}"
+    if name := RENAMED.get(str(location[-1])):
+        return f"is called {name} now: write it so"
     meant = get_close_matches(str(location[-1]), _fields(model, location[:-1]), n=1)
     guess = f"did you mean {meant[0]}?" if meant else "check its spelling and its place"
     return f"is not a known field; {guess}"

@@ -6,11 +6,11 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, field_validator, m
 
 from rpod_schemas.config.base import Name, Positive
 from rpod_schemas.config.mount_calibration import Mount
+from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.config.service import ServiceConfig
-from rpod_schemas.config.thinned import ThinnedConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import make_pose
-from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.sensors import sensor_kind, sensor_kinds
 
 Setting = StrictBool | StrictInt | Annotated[float, Field(allow_inf_nan=False)] | StrictStr
 """Value of a setting of a device."""
@@ -36,8 +36,8 @@ class DriverConfig(ServiceConfig):
 
     settings: dict[str, Setting] = Field(default_factory=dict)
     """Settings of the device by name, written after each connection; the driver's documents name them."""
-    thinned: ThinnedConfig | None = None
-    """Thinner stream of a camera for a slow link, beside the full one."""
+    reduced_rate: ReducedRateConfig | None = None
+    """Stream of reduced rate for a slow link, beside the full one."""
     trigger_timeout_s: Positive = 1.0
     """Longest time from a requested trigger to its frame, s; a longer one counts as ``trigger_missed``."""
 
@@ -50,9 +50,10 @@ class DriverConfig(ServiceConfig):
             raise ValueError(str(error)) from error
 
     @model_validator(mode="after")
-    def _a_camera_is_thinned(self) -> Self:
-        if self.thinned is not None and self.kind != "pmd":
-            raise ValueError(f"thinned is for cameras of kind pmd, not for a {self.kind}: leave it out")
+    def _the_kind_has_a_stream_of_reduced_rate(self) -> Self:
+        if self.reduced_rate is not None and not sensor_kind(self.kind).reduced_rate:
+            able = ", ".join(kind.name for kind in sensor_kinds() if kind.reduced_rate)
+            raise ValueError(f"reduced_rate is for sensors of kind {able}, not {self.kind}: leave it out")
         return self
 
     @model_validator(mode="after")

@@ -8,29 +8,34 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from rpod_schemas.config.base import RENAMED as RENAMED_IN_FILES
 from rpod_schemas.config.base import check
 
-CONFIG_VERSION = 4
+CONFIG_VERSION = 5
 """Version of the configuration models.
 
 1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
-``tuning`` models. 3: the fields in ``RENAMED`` have their present names. 4: a track is lost by its
-covariance, and the navigator has no ``rejection_timeout_s`` and ``rejected_frames``.
+``tuning`` models. 3 and 5: fields have the names in ``RENAMED``. 4: a track is lost by its covariance, and
+the navigator has no ``rejection_timeout_s`` and ``rejected_frames``. 5: the fields in ``TUNED`` are in
+``tuning`` models.
 """
 _FIRST_WITH_TUNING = 2
 """First version whose logs have ``tuning`` models."""
-_FIRST_WITH_NEW_NAMES = 3
-"""First version whose logs have the present names of the fields in ``RENAMED``."""
 RENAMED = {
-    "contrary_share": "inconsistent_share",
-    "draw_in_points": "coarse_points",
-    "draw_in_steps": "coarse_steps",
-    "most_contrary_share": "most_inconsistent_share",
-    "most_lacking": "most_missing",
-    "settle_steps": "fine_steps",
-    "sharpened_returns": "sufficient_returns",
+    3: {
+        "contrary_share": "inconsistent_share",
+        "draw_in_points": "coarse_points",
+        "draw_in_steps": "coarse_steps",
+        "most_contrary_share": "most_inconsistent_share",
+        "most_lacking": "most_missing",
+        "settle_steps": "fine_steps",
+        "sharpened_returns": "sufficient_returns",
+    },
+    5: RENAMED_IN_FILES,
 }
-"""Present names of renamed fields by the name that versions 1 and 2 gave them."""
+"""Names that a version gave to fields, by the name before it."""
+TUNED = {_FIRST_WITH_TUNING: None, 5: frozenset({"attitudes"})}
+"""Names of the fields that a version moved into ``tuning``; None for any."""
 VERSION_FIELD = "config_version"
 """Name of the version among the fields of a logged configuration."""
 
@@ -75,9 +80,10 @@ def logged(config: BaseModel) -> dict[str, Any]:
 def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str) -> Migrated[Model]:
     """Validate a logged configuration against today's model.
 
-    A field that the model does not have is handled by the version of the log. Before version 3, a field in
-    ``RENAMED`` gets its present name. Before version 2, the field is moved into the ``tuning`` model beside
-    it. A field that still has no place is left out. The result names all these fields.
+    A field that the model does not have is handled by the version of the log. If a later version renamed it
+    (``RENAMED``), it gets its present name. If a later version made it tuning (``TUNED``), it is moved into
+    the ``tuning`` model beside it. A field that still has no place is left out. The result names all these
+    fields.
 
     Raises:
         ConfigurationError: a field that today's model has is wrong.
@@ -87,12 +93,14 @@ def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str
     version = stated if isinstance(stated, int) else 1
     origins: dict[Place, Place] = {}
     unknown: list[Place] = []
+    names = renamed_since(version)
     while extra := _extra_fields(model, kept):
         for place in extra:
-            origin = origins.pop(place, place)
-            if version < _FIRST_WITH_NEW_NAMES and _can_be_renamed(kept, place):
-                origins[_rename(kept, place)] = origin
-            elif version < _FIRST_WITH_TUNING and "tuning" not in place:
+            origin = _origin(place, origins)
+            origins.pop(place, None)
+            if _can_be_renamed(kept, place, names):
+                origins[_rename(kept, place, names)] = origin
+            elif _became_tuning(place, version):
                 origins[_move(kept, place)] = origin
             else:
                 _remove(kept, place)
@@ -102,7 +110,7 @@ def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str
     def named(place: Place) -> str:
         return _name(place, without_tuning=version < _FIRST_WITH_TUNING)
 
-    tuned = [old for place, old in origins.items() if "tuning" in place and "tuning" not in old]
+    tuned = [old for place, old in origins.items() if place[-2:-1] == ("tuning",) and "tuning" not in old]
     renamed = [(old, place[-1]) for place, old in origins.items() if place[-1] != old[-1]]
     return Migrated(
         check(model, kept, source=source),
@@ -149,14 +157,32 @@ def _move(document: dict[str, Any], place: Place) -> Place:
     return (*place[:-1], "tuning", place[-1])
 
 
-def _can_be_renamed(document: dict[str, Any], place: Place) -> bool:
+def _origin(place: Place, origins: Mapping[Place, Place]) -> Place:
+    """Return the place that the log gives to a field, which or whose holder may have got another one."""
+    held = next((size for size in range(len(place), 0, -1) if place[:size] in origins), 0)
+    return origins[place[:held]] + place[held:] if held else place
+
+
+def renamed_since(version: int) -> dict[str, str]:
+    """Return the present names of fields by their names in a version, where these differ."""
+    return {old: new for since, names in RENAMED.items() if version < since for old, new in names.items()}
+
+
+def _became_tuning(place: Place, version: int) -> bool:
+    """Return whether a version after the log's moved a field into a ``tuning`` model."""
+    return "tuning" not in place and any(
+        version < since and (names is None or place[-1] in names) for since, names in TUNED.items()
+    )
+
+
+def _can_be_renamed(document: dict[str, Any], place: Place, names: Mapping[str, str]) -> bool:
     """Return whether a field has a new name that no field beside it has yet."""
-    return place[-1] in RENAMED and RENAMED[str(place[-1])] not in _holder(document, place)
+    return place[-1] in names and names[str(place[-1])] not in _holder(document, place)
 
 
-def _rename(document: dict[str, Any], place: Place) -> Place:
+def _rename(document: dict[str, Any], place: Place, names: Mapping[str, str]) -> Place:
     """Give a field its present name, and return its new place."""
-    holder, name = _holder(document, place), RENAMED[str(place[-1])]
+    holder, name = _holder(document, place), names[str(place[-1])]
     holder[name] = holder.pop(place[-1])
     return (*place[:-1], name)
 

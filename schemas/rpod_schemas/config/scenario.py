@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
-from rpod_schemas.config.link import Link, LinkConfig
+from rpod_schemas.config.facility.link import Link, LinkConfig
 from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault

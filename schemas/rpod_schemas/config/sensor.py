@@ -98,6 +98,10 @@ class AlertLimit(Config):
         return self.range_share * range_m if self.position_m is None else self.position_m
 
 
+RANGE_OFFSET_SIGMA_M = 0.03
+"""Standard deviation of the offset of a scanner's ranges: the accuracy in their data sheets, 3 cm."""
+
+
 class SensorInput(Kinded):
     """A sensor that the estimator uses; a kind adds what its methods need."""
 
@@ -114,6 +118,11 @@ class SensorInput(Kinded):
     source: Source = SourceConfig()
     """How the driver publishes, if it does not keep to the ICD: a file of ``deploy/sensors`` or of your own,
     ``preset: FILE`` with changes to it, or all of it inline."""
+
+    @property
+    def range_offset_sigma_m(self) -> float:
+        """Standard deviation of the offset that all distances of the sensor may share, m."""
+        return RANGE_OFFSET_SIGMA_M
 
     def informed_by(self, emulated: EmulatedSensor) -> Self:  # noqa: ARG002 - what a kind may want to know
         """Return this input with the data that the sensor will publish of itself."""

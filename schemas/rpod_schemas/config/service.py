@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import ENDPOINT, LIVE, Config, Name, Positive
-from rpod_schemas.config.link import Link, LinkConfig
+from rpod_schemas.config.facility.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
 ESTIMATOR_ID = "e57a7e"

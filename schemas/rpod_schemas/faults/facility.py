@@ -35,7 +35,7 @@ FACILITY_FAULTS: tuple[Fault, ...] = (
         "link_rate",
         "a link carries fewer bits than the services send",
         "",
-        "set up a thinned stream of the sensor (docs/how-to/slow-links.md), or use a faster link",
+        "set reduced_rate of the sensor (docs/how-to/slow-links.md), or use a faster link",
         kinds=(),
         subject="link",
         size=Size("Mbit/s", 10.0, 0.001, 100_000.0),

@@ -33,7 +33,7 @@ class Fault:
     """One kind of fault."""
 
     name: str
-    """Name in queries, scenarios and verdicts."""
+    """Name in queries, scenarios and results of checks."""
     cause: str
     """Description of the fault, and its usual cause."""
     line: str
@@ -58,6 +58,10 @@ class Fault:
         if asked is None and self.size is not None:
             return self.size.default
         return asked
+
+    def can_be_in(self, kind: str) -> bool:
+        """Return whether a sensor of a kind can have it; of other packages' kinds that is not known."""
+        return kind in self.kinds or kind not in BOTH
 
     @property
     def of_sensor(self) -> bool:

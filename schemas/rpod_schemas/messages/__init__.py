@@ -4,7 +4,6 @@
 the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.
 """
 
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.messages.geometry import (
     read_odometry,
     read_pose,
@@ -40,6 +39,7 @@ from rpod_schemas.messages.images import (
 )
 from rpod_schemas.messages.imu import read_imu, write_imu
 from rpod_schemas.messages.info import (
+    read_info,
     read_lidar_info,
     read_pmd_info,
     write_lidar_info,
@@ -47,6 +47,7 @@ from rpod_schemas.messages.info import (
 )
 from rpod_schemas.messages.joints import read_joints, write_joints
 from rpod_schemas.messages.points import read_points, time_field, write_points
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 __all__ = [
     "NANOSECONDS",
@@ -58,6 +59,7 @@ __all__ = [
     "read_diagnostics",
     "read_image",
     "read_imu",
+    "read_info",
     "read_integrity",
     "read_joints",
     "read_lidar_info",

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.bounds import IRRADIANCE_W_M2, POSITION_M, RATE_RAD_S, SPEED_M_S, check_covariance
-from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import (
     accepted,
@@ -20,6 +19,7 @@ from rpod_schemas.messages.header import (
     write_stamp,
 )
 from rpod_schemas.poses import covariance_at, make_pose, rotation_matrix, rotation_of
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import Odometry
 
 

@@ -6,8 +6,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from rpod_schemas.bounds import TEXT, Bound
-from rpod_schemas.cdr import NANOSECONDS, checked_stamp, message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.rmw.cdr import NANOSECONDS, checked_stamp, message_class
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 CheckedT = TypeVar("CheckedT")

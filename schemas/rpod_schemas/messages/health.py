@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.bounds import HYPOTHESES, SHARE
-from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose, write_pose
 from rpod_schemas.messages.header import build, read_stamp, within, write_header
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import Diagnostic, EstimateValidity, EstimatorStatus, Hypothesis, Integrity
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.bounds import AMPLITUDE, DEPTH_M, IMAGE_PIXELS, IMAGE_SIDE
-from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import build, within, write_header
 from rpod_schemas.messages.lenses import coefficients
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import Camera
 
 _NO_PIXEL = (

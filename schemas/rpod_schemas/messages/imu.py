@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_rotation, read_vector, write_quaternion, write_vector
 from rpod_schemas.messages.header import build, read_stamp, write_header
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import ImuReading
 

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from rpod_schemas.cdr import message_class
 from rpod_schemas.messages.header import build, read_stamp, write_header
-from rpod_schemas.types import LidarInfo, PmdInfo
+from rpod_schemas.rmw.cdr import message_class
+from rpod_schemas.types import LidarInfo, PmdInfo, SensorInfo
 
 
 def read_pmd_info(message: Any) -> PmdInfo:
@@ -40,3 +40,11 @@ def read_lidar_info(message: Any) -> LidarInfo:
 def write_lidar_info(stamp_ns: int, frame_id: str, info: LidarInfo) -> Any:
     """Return an rpod_msgs/LidarInfo."""
     return message_class("rpod_msgs/msg/LidarInfo")(header=write_header(stamp_ns, frame_id), **dict(info))
+
+
+_READERS = {"rpod_msgs/msg/PmdInfo": read_pmd_info, "rpod_msgs/msg/LidarInfo": read_lidar_info}
+
+
+def read_info(message: Any) -> SensorInfo:
+    """Read the info of a camera or a LIDAR, by the type of its message."""
+    return _READERS[message.__msgtype__](message)

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from rpod_schemas.cdr import message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import read_stamp, read_text, write_header
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import Joints
 
 

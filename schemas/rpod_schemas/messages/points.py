@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.bounds import RETURN_TIME_S, SCAN_DIRECTIONS
-from rpod_schemas.cdr import NANOSECONDS, message_class
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.header import read_stamp, within, write_header
+from rpod_schemas.rmw.cdr import NANOSECONDS, message_class
 
 _FLOAT32 = 7
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", _FLOAT32: "f4", 8: "f8"}

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from rpod_schemas.bounds import check_covariance
-from rpod_schemas.cdr import message_class
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages.geometry import read_pose
 from rpod_schemas.messages.header import accepted, build, read_stamp, write_stamp
+from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.topics import CHASER
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | bytes | None

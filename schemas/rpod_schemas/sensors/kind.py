@@ -55,6 +55,12 @@ class SensorKind:
     """Reference to the ``rpod_pose.ports.KindMethods`` that build and warm up the methods."""
     info: Topic | None = None
     """Latched message in which the sensor describes itself."""
+    checks: str = ""
+    """Reference to an ``rpod_driver.check.kinds.KindChecks``: lines of ``rpod driver check`` for this kind
+    alone; without it, only what holds for any sensor is checked."""
+    reduced_rate: str = ""
+    """Reference to the publisher of a stream of reduced rate, created as ``(node, name, config)`` with a
+    ``ReducedRateConfig``; without it, the kind has no such stream."""
     extras: tuple[Topic, ...] = ()
     """Topics that are recorded but belong to no frame."""
 

@@ -2,8 +2,8 @@
 
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import LIDAR_INFO, POINTS
 
@@ -18,6 +18,7 @@ LIDAR = SensorKind(
     publisher="rpod_runtime.sensors:LidarPublisher",
     emulator="rpod_emulator.lidar:LidarChannel",
     methods="rpod_pose.lidar.methods:LIDAR_METHODS",
+    checks="rpod_driver.check.kinds:LIDAR_CHECKS",
 )
 
 GLOBAL = Method("lidar", "acquisition", GlobalSearchConfig, "rpod_pose.lidar.methods:global_search")

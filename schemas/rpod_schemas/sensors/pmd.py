@@ -2,10 +2,10 @@
 
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
-from rpod_schemas.config.pmd_joint import JointConfig
-from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd.amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd.joint import JointConfig
+from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig, SignedDistanceConfig
+from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, DEPTH_SIGMA, PHASE, PMD_INFO
 
@@ -25,6 +25,8 @@ PMD = SensorKind(
     publisher="rpod_runtime.sensors:CameraPublisher",
     emulator="rpod_emulator.pmd:PmdChannel",
     methods="rpod_pose.pmd.methods:PMD_METHODS",
+    checks="rpod_driver.check.kinds:PMD_CHECKS",
+    reduced_rate="rpod_runtime.sensor_data.reduced_rate:ReducedRateCamera",
 )
 
 VIEW_SEARCH = Method("pmd", "acquisition", PmdAcquisitionConfig, "rpod_pose.pmd.methods:view_search")

@@ -16,7 +16,7 @@ from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit,
 from rpod_analysis.calibration.depth_samples import collect
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
-from rpod_schemas.config.depth_calibration import DepthCalibration
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.errors import ConfigurationError
 
 

@@ -44,8 +44,11 @@ class CampaignGroup(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a campaign's verb; None if no campaign has the name."""
-        from rpod_campaign.catalogue import names, options_of
+        from rpod_campaign.catalogue import RENAMED, names, options_of
 
+        if cmd_name in RENAMED:
+            typer.echo(f"{cmd_name} is called {RENAMED[cmd_name]} now", err=True)
+            cmd_name = RENAMED[cmd_name]
         if cmd_name not in names():
             meant = get_close_matches(cmd_name, names(), n=1)
             if meant and cmd_name not in self.commands:

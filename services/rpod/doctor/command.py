@@ -16,7 +16,7 @@ from rpod.doctor.finding import Finding, Level
 from rpod.up.resolved import resolve_facility
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import check
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.errors import ConfigurationError, RpodError
 

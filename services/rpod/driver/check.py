@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
-from rpod_driver.check import Level, Observer, Options, Verdict, judge
+from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
 from rpod_runtime import BusError, Node
@@ -47,7 +47,7 @@ class CheckOptions:
 
 
 def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) -> int:
-    """Watch a sensor, print a verdict a line, and return 0 if none of them fails, 1 if one does."""
+    """Watch a sensor, print a result a line, and return 0 if none of them fails, 1 if one does."""
     try:
         driver, bus = _driver(options)
         known = Options(
@@ -74,12 +74,12 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
     except KeyboardInterrupt:
         print("rpod driver check: interrupted", file=sys.stderr)
         return EXIT_FAILURE
-    verdicts = judge(seen)
-    wrong = [each for each in verdicts if each.level is Level.FAIL]
+    results = judge(seen)
+    wrong = [each for each in results if each.level is Level.FAIL]
     if as_json:
-        print(json.dumps(_document(driver, duration_s, verdicts), indent=2))
+        print(json.dumps(_document(driver, duration_s, results), indent=2))
     else:
-        _show(verdicts)
+        _show(results)
     return EXIT_FAILURE if wrong else EXIT_OK
 
 
@@ -117,22 +117,22 @@ def _prefix(options: CheckOptions) -> str | None:
     return check(_Estimate, {"against": options.against}, source="rpod driver check").against
 
 
-def _document(driver: DriverConfig, duration_s: float, verdicts: list[Verdict]) -> dict[str, Any]:
+def _document(driver: DriverConfig, duration_s: float, results: list[CheckResult]) -> dict[str, Any]:
     return {
         "sensor": driver.name,
         "kind": driver.kind,
         "duration_s": duration_s,
-        "ok": not any(each.level is Level.FAIL for each in verdicts),
-        "faults": list(dict.fromkeys(fault for each in verdicts for fault in each.faults)),
-        "verdicts": [each.model_dump(mode="json") | {"remedy": each.remedy} for each in verdicts],
+        "ok": not any(each.level is Level.FAIL for each in results),
+        "faults": list(dict.fromkeys(fault for each in results for fault in each.faults)),
+        "verdicts": [each.model_dump(mode="json") | {"remedy": each.remedy} for each in results],
     }
 
 
-def _show(verdicts: list[Verdict]) -> None:
+def _show(results: list[CheckResult]) -> None:
     table = Table(box=None, pad_edge=False)
-    for column in ("line", "verdict", "figures and remedy"):
+    for column in ("line", "result", "figures and remedy"):
         table.add_column(column, overflow="fold")
-    for each in verdicts:
+    for each in results:
         faults = f" [{', '.join(each.faults)}] {each.remedy}" if each.faults else ""
         text = each.text + faults
         table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))

@@ -15,7 +15,7 @@ from rich.table import Table
 from rpod.play.secure_run import ROLES as OF_A_RUN
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
-from rpod_schemas.config.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import check
 from rpod_security.authority import FOLDER, Authority, Entry

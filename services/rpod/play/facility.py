@@ -8,11 +8,11 @@ from typing import Any, Literal
 from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
-from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.config.proxy import ProxiedLink, ProxyConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
+from rpod_schemas.config.facility.proxy import ProxiedLink, ProxyConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig, TimeSource
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 
 Speed = Literal["1", "max"]
@@ -54,7 +54,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 **_settings(scenario),
             ),
             "logger": LoggerConfig(
-                bus=bus, directory=directory, name=scenario.name, record_extra=_thinned(scenario, bus)
+                bus=bus, directory=directory, name=scenario.name, record_extra=_reduced_rate(scenario, bus)
             ),
         },
         supervisor=ServiceConfig(
@@ -123,10 +123,10 @@ def _with_proxy(facility: Facility, scenario: Scenario) -> Facility:
     return replace(facility, services=services, proxy=proxy)
 
 
-def _thinned(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
-    """Return the keys of the cameras' thinned streams, which are recorded too."""
-    thinned = {sensor.name: getattr(sensor, "thinned", None) for sensor in scenario.sensors}
-    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in thinned.items() if each)
+def _reduced_rate(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
+    """Return the keys of the sensors' streams of reduced rate, which are recorded too."""
+    configs = {sensor.name: getattr(sensor, "reduced_rate", None) for sensor in scenario.sensors}
+    return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in configs.items() if each)
 
 
 def _settings(scenario: Scenario) -> dict[str, Any]:

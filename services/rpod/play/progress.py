@@ -17,8 +17,8 @@ from rich.text import Text
 from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Inbox, Node, Received
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.scenario import Scenario
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
 from rpod_schemas.poses import between, pose_error

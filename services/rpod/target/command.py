@@ -10,11 +10,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from rpod_analysis.target_check import TargetCheck, check_target, judged_symmetries, write_page
+from rpod_analysis.target_check import TargetCheck, check_target, checked_symmetries, write_page
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_target import Target, TargetError, load_target
-from rpod_target.drafting import METRES, Draft, DraftOptions, draft
-from rpod_target.mesh_files import FORMATS, METRIC
+from rpod_target.drafting.draft import METRES, Draft, DraftOptions, draft
+from rpod_target.mesh.files import FORMATS, METRIC
 
 
 def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: bool) -> int:
@@ -24,7 +24,7 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
             cad,
             out or Path(f"{cad.stem}.yaml"),
             _asked(cad, options, as_json=as_json),
-            symmetries=judged_symmetries,
+            symmetries=checked_symmetries,
         )
     except TargetError as error:
         print(f"rpod target new: {error}", file=sys.stderr)
@@ -110,7 +110,7 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
         assumed = units is None and longest_side_m is None
         units = "m" if assumed else units
         options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
-        made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=judged_symmetries)
+        made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=checked_symmetries)
         told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
         return replace(made.target, source=str(file), repairs=told)
 

@@ -56,7 +56,7 @@ def new(
 ) -> None:
     """Write a target's parameter file from a CAD file: parts, materials, mass, symmetries."""
     from rpod.target.command import new_command
-    from rpod_target.drafting import DraftOptions
+    from rpod_target.drafting.draft import DraftOptions
 
     if origin not in {"auto", "file", "centre"}:
         raise typer.BadParameter("is not one of auto, file, centre", param_hint="--origin")

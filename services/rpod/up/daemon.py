@@ -21,7 +21,7 @@ from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
 from rpod_runtime.process.notify import IN_RESERVE
 from rpod_runtime.process.processes import end_process
 from rpod_runtime.process.reserve import RESERVE
-from rpod_schemas.config.facility import BackoffConfig
+from rpod_schemas.config.facility.hosts import BackoffConfig
 
 log = logging.getLogger(__name__)
 
@@ -163,7 +163,7 @@ class Daemon:
             self._write_config()
         except OSError as error:
             log.error("%s: its configuration cannot be written: %s", self.name, error)
-        if self.state == "ready":  # before that, a process does not heed the signal yet
+        if self.state == "ready":  # before that, a process does not handle the signal yet
             self.send(signal.SIGHUP)
 
     def _write_config(self) -> None:

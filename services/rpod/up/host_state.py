@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rpod.errors import AlreadyUpError
 from rpod_schemas.config.base import Config, check, read_document
-from rpod_schemas.config.facility import FacilityFile
+from rpod_schemas.config.facility.hosts import FacilityFile
 
 STOP_TIMEOUT_S = 60.0
 """Longest time that one service may take to finish, on a loaded machine too."""

@@ -10,11 +10,11 @@ from rpod.up.host_state import read_facility
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.facility import FacilityFile, FacilityService
-from rpod_schemas.config.logger import LoggerConfig
-from rpod_schemas.config.proxy import ProxyConfig
+from rpod_schemas.config.facility.hosts import FacilityFile, FacilityService
+from rpod_schemas.config.facility.logger import LoggerConfig
+from rpod_schemas.config.facility.proxy import ProxyConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.service import RouterConfig
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError, SchemaError
 
 _MODELS: dict[str, type[BaseModel]] = {

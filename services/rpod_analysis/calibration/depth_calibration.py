@@ -17,7 +17,7 @@ from rpod_analysis.errors import CalibrationError
 from rpod_analysis.scoring.score import IntArray
 from rpod_pose.pmd.depth_preparation import calibrated
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.depth_calibration import (
+from rpod_schemas.config.pmd.depth_calibration import (
     CalibrationEvidence,
     DepthCalibration,
     Harmonic,

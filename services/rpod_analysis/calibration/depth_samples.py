@@ -22,7 +22,7 @@ from rpod_analysis.scoring.score import BoolArray, Track, interpolate
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.depth_calibration import unambiguous_range_m
+from rpod_schemas.config.pmd.depth_calibration import unambiguous_range_m
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target, TargetError, load_target

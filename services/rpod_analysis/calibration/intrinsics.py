@@ -23,7 +23,7 @@ _LEAST_MOVE_SHARE = 0.05
 _BRIGHTEST = 99.5
 """Percentile of the amplitude that is white: glints are brighter."""
 _CELLS = 6
-"""Cells each way into which the image is divided for the statement of what the corners cover."""
+"""Cells each way into which the image is divided to tell how much of it the corners cover."""
 _WELL_COVERED = 0.6
 _WORST_RMS_PX = 1.0
 

@@ -3,7 +3,7 @@
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
-from rpod_analysis.log.log import Logged
+from rpod_analysis.log.logged import Logged
 from rpod_schemas.summary import BodyAccount, FrameCount, InputAccount, LostFrames
 from rpod_schemas.texts import without_figures
 from rpod_schemas.topics import SENSOR_CACHE

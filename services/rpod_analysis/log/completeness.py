@@ -97,12 +97,12 @@ def _of_file(file: LogFile) -> FileCompleteness:
     if record := file.metadata(RECOVERY):
         reasons = _of_recovery(Recovery.model_validate_json(record["recovery"]))
         return FileCompleteness(name, messages, not reasons, reasons)
-    statement = file.metadata(COMPLETENESS)
-    if not statement:
+    record = file.metadata(COMPLETENESS)
+    if not record:
         return FileCompleteness(name, messages, None, ())
     try:
         counts = file.metadata(COUNTS)
-        checked = check_completeness(statement, counts, _counted(file))
+        checked = check_completeness(record, counts, _counted(file))
         checked = checked.with_reasons(tuple(_count_again(file.metadata(PUBLISHERS), counts)))
         bus = BusRecord.of_record(file.metadata(BUS))
         checked = checked.with_reasons(() if checked.reasons or not bus.outages else (_OUTAGE,))

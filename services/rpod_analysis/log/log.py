@@ -20,14 +20,14 @@ from mcap.records import Channel, Statistics
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
+from rpod_analysis.log.logged import Logged
 from rpod_analysis.log.unreadable import Unreadable
-from rpod_schemas.cdr import decode
 from rpod_schemas.errors import Reason
 from rpod_schemas.logs import CONFIGURATION, COUNTS, GID_METADATA, SESSION_METADATA, TopicCount
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
+from rpod_schemas.rmw.wire import GID_BYTES
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, Topic, is_latched
 from rpod_schemas.types import EstimatorStatus, Odometry
-from rpod_schemas.wire import GID_BYTES
 
 _MOST_LATCHED = 64
 """Largest number of latched messages of a topic, one per publisher, that a file may repeat at its
@@ -53,30 +53,6 @@ def _publisher(channel: Channel) -> tuple[str, str]:
     if len(gid) != 2 * GID_BYTES or not set(gid) <= set("0123456789abcdef"):
         return "", ""
     return gid, channel.metadata.get(SESSION_METADATA, "")
-
-
-@dataclass(frozen=True, slots=True)
-class Logged:
-    """One message of a log."""
-
-    topic: str
-    type: str
-    """ROS 2 type, for example ``sensor_msgs/msg/Image``."""
-    log_ns: int
-    """Time of arrival at the logger, ns."""
-    publish_ns: int
-    """Source stamp in the attachment, ns."""
-    sequence: int
-    """Sequence number in the attachment."""
-    payload: bytes
-    gid: str = ""
-    """Identifier of the publisher, hexadecimal digits; empty if the log does not tell."""
-    session: str = ""
-    """Zenoh identity of the publisher's session; empty if it is not known."""
-
-    def decode(self) -> Any:
-        """Return the ROS message, whose arrays are views of the payload. Raises ``MessageRejectedError``."""
-        return decode(memoryview(self.payload), self.type)
 
 
 @dataclass(frozen=True)

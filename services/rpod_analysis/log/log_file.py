@@ -19,8 +19,8 @@ from zstandard import ZstdError
 from rpod_analysis.errors import DamagedLogError, NoLogError, NotMcapError, TruncatedLogError
 from rpod_analysis.log import limits
 from rpod_analysis.log.chunks import content
-from rpod_schemas.cdr import learn
 from rpod_schemas.logs import SCHEMA_ENCODING
+from rpod_schemas.rmw.cdr import learn
 
 SUFFIX, RECOVERED, REPLAY = ".mcap", ".recovered", ".replay"
 """Suffix of logs, and of the files that recovery and replay write beside ``run.mcap``:

@@ -7,9 +7,8 @@ rare messages are decoded completely, as in a service.
 from collections.abc import Callable
 from typing import Any
 
-from rpod_analysis.log.log import Logged
+from rpod_analysis.log.logged import Logged
 from rpod_schemas.bounds import POSITION_M
-from rpod_schemas.cdr import is_known
 from rpod_schemas.messages import (
     read_camera,
     read_image,
@@ -21,6 +20,7 @@ from rpod_schemas.messages import (
     read_transforms,
     read_vector_stamped,
 )
+from rpod_schemas.rmw.cdr import is_known
 from rpod_schemas.topics import (
     CAMERA_INFO,
     CLOCK,

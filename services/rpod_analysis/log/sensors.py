@@ -9,19 +9,20 @@ from typing import Any, cast
 from pydantic import ConfigDict, TypeAdapter
 from scipy.spatial.transform import RigidTransform
 
-from rpod_analysis.log.log import Log, Logged
+from rpod_analysis.log.log import Log
+from rpod_analysis.log.logged import Logged
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.frames import ICD, SensorReader, assembler_of, open_reader
-from rpod_schemas.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_lidar_info, read_pmd_info
 from rpod_schemas.poses import Pose
+from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.sensors import SensorKind, sensor_kind, sensor_kinds
 from rpod_schemas.topics import CHASER, LIDAR_INFO, PMD_INFO, Topic
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from rpod_analysis.log import Log
 from rpod_analysis.replay.holders import of_holders
-from rpod_estimator.body_input import checked
+from rpod_estimator.inputs.bodies import checked
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_odometry

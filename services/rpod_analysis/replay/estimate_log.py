@@ -13,7 +13,6 @@ from mcap.writer import CompressionType, Writer
 from rpod_analysis.log import Log, Logged
 from rpod_logger.writer import qos_profile
 from rpod_pose.navigation.state import Output
-from rpod_schemas.cdr import definition, encode, type_hash
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import logged
 from rpod_schemas.logs import (
@@ -33,6 +32,7 @@ from rpod_schemas.messages import (
     write_pose_stamped,
     write_status,
 )
+from rpod_schemas.rmw.cdr import definition, encode, type_hash
 from rpod_schemas.topics import (
     ESTIMATE,
     ESTIMATE_FRAME,
@@ -90,9 +90,9 @@ class EstimateLog:
             sequence=logged.sequence,
         )
 
-    def add(self, judged: Iterable[tuple[Output, Integrity]], *, arrival_ns: int) -> None:
+    def add(self, checked: Iterable[tuple[Output, Integrity]], *, arrival_ns: int) -> None:
         """Add the estimator's results for a frame and their integrity, with the frame's time of arrival."""
-        for output, integrity in judged:
+        for output, integrity in checked:
             if output.odometry is not None:
                 self._add(ESTIMATE, write_odometry(output.odometry), arrival_ns)
                 self._add(ESTIMATE_POSE, write_pose_stamped(output.odometry), arrival_ns)

@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 
 from rpod_analysis.log import Logged
 from rpod_analysis.log.sensors import as_received
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.holders import LoggedHolders
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import PartRejectedError
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_status
+from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_schemas.types import EstimatorStatus
 
 _ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.DUPLICATE, Reason.SECOND_PUBLISHER

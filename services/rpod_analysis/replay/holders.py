@@ -16,8 +16,8 @@ from rpod_analysis.log.sensors import as_received
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.delivery.holders import SILENT_S, Holders, SecondPublisherError
-from rpod_schemas.cdr import NANOSECONDS
 from rpod_schemas.logs import PUBLISHERS
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 
 def of_holders(log: Log, *topics: str, unused: Counter[str]) -> Iterator[tuple[Logged, Callable[[], None]]]:

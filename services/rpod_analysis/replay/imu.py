@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from rpod_analysis.log import Log
 from rpod_analysis.replay.holders import of_holders
-from rpod_estimator.imu_input import checked
+from rpod_estimator.inputs.imu import checked
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
-from rpod_schemas.config.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_imu
 from rpod_schemas.topics import IMU

@@ -7,9 +7,9 @@ from itertools import chain, islice
 
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.sensors import as_received
-from rpod_analysis.log.unreadable import StampCheck
-from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.topics import TF, TF_STATIC, TRUTH, Topic
 from rpod_view.scene import pose_topics, sensor_topics
 from rpod_view.view import View

@@ -14,7 +14,7 @@ from pathlib import Path
 from rpod_analysis.errors import CannotWriteError, NoEstimatorError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.bodies import LoggedBodies
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
@@ -139,8 +139,8 @@ def replay(
             for logged in _relevant(log, reader, old, span_ns):
                 if logged.topic in _copied(log, old):
                     written.copy(logged)
-                written.add(feed.judged(frames.take(logged)), arrival_ns=logged.log_ns)
-            written.add(feed.judged(frames.rest()), arrival_ns=written.last_ns)
+                written.add(feed.checked(frames.take(logged)), arrival_ns=logged.log_ns)
+            written.add(feed.checked(frames.rest()), arrival_ns=written.last_ns)
     except OSError as error:
         raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
     return Replayed(
@@ -235,7 +235,7 @@ class _Feed:
         self._frames, self._reader = frames, frames.reader
         self._estimator, self._recorded = estimator, recorded
 
-    def judged(self, events: Iterable[Event]) -> Iterator[tuple[Output, Integrity]]:
+    def checked(self, events: Iterable[Event]) -> Iterator[tuple[Output, Integrity]]:
         """Yield the estimator's outputs, each with its integrity, as the daemon publishes them."""
         for output, frozen in self.outputs(events):
             yield output, self._estimator.integrity(output, frozen=frozen)

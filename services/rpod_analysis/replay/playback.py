@@ -16,8 +16,8 @@ from rpod_analysis.log import Log, Logged
 from rpod_analysis.replay.timeline import Timeline
 from rpod_runtime import Node
 from rpod_runtime.delivery.publisher import Publisher
-from rpod_schemas.cdr import NANOSECONDS, begins_with_stamp, is_known, restamped
 from rpod_schemas.messages import write_clock
+from rpod_schemas.rmw.cdr import NANOSECONDS, begins_with_stamp, is_known, restamped
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, STATUS, TF, Topic, is_latched
 
 _CLOCK_PERIOD_NS = NANOSECONDS // 250

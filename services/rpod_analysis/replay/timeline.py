@@ -3,8 +3,8 @@
 from bisect import bisect_left
 
 from rpod_analysis.log import Log, Logged
-from rpod_analysis.log.unreadable import StampCheck
-from rpod_schemas.cdr import NANOSECONDS, peek_stamp
+from rpod_analysis.log.stamp_check import StampCheck
+from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.topics import CLOCK
 
 _NEVER_NS = 1 << 62

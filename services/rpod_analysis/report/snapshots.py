@@ -22,7 +22,7 @@ from rpod_runtime.sensor_data.scan_grid import ahead
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.messages import read_image, read_stamp
 from rpod_schemas.topics import CONTRADICTION
-from rpod_schemas.types import Camera, Float32Array, FrameImage, LidarInfo, LidarScan, SensorFrame
+from rpod_schemas.types import Camera, Float32Array, FrameImage, LidarInfo, SensorFrame
 from rpod_target import Target
 
 _SAMPLES = 4
@@ -179,8 +179,8 @@ def _points_of(shape: tuple[int, ...], frame: SensorFrame, info: LidarInfo | Non
     pattern = None if info is None else ahead(info)
     if pattern is not None and (pattern.elevation_rad.size, pattern.azimuth_rad.size) == shape:
         return RayGrid.azimuth_elevation(pattern.azimuth_rad, pattern.elevation_rad).directions
-    points_m = frame.points_m if isinstance(frame, LidarScan) else np.zeros((0, 3), np.float32)
-    return points_m if points_m.shape[:2] == shape else None
+    grid_m = frame.grid_m
+    return grid_m if grid_m is not None and grid_m.shape[:2] == shape else None
 
 
 def _sample_stamps(plot_data: PlotData, sensor: Sensor) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import NANOSECONDS
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 BLOCK_NS = 60 * NANOSECONDS
 """Length of a block of rows, ns: a minute."""

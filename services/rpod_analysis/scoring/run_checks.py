@@ -119,7 +119,7 @@ def _truth(summary: Summary) -> Iterator[Check]:
             f"its own error is {truth.attitude_deg_rms:.2g}° and {1e3 * truth.position_m_rms:.3g} mm (RMS): "
             f"it may be {_percent(truth.attitude_share)} of the mean squared attitude error and "
             f"{_percent(truth.position_share)} of the position's",
-            "part of the covariance by which errors are judged",
+            "part of the covariance by which errors are checked",
             None,
         )
 
@@ -148,7 +148,7 @@ def _recorded(summary: Summary) -> Iterator[Check]:
         more = f" and {_count(len(stated.reasons) - 1, 'other reason')}" if len(stated.reasons) > 1 else ""
         answer = "complete, by its own record" if stated.complete else first + more
     complete = stated.complete if stated else None
-    yield Check("Completeness", answer, "the log's own statement, checked against its content", complete)
+    yield Check("Completeness", answer, "the log's own record, checked against its content", complete)
 
 
 def _readable(summary: Summary) -> Check:

@@ -10,12 +10,12 @@ from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.accounting import Account
 from rpod_analysis.log.message_checks import check_message, pose_numbers
 from rpod_analysis.log.sensors import Sensor
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.scoring.mounts import mount_differences
 from rpod_analysis.scoring.row_store import RowStore
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
+from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.summary import MountDifference
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
 

@@ -10,7 +10,7 @@ from rpod_analysis.scoring.frame_errors import named_frames
 from rpod_analysis.scoring.joint_errors import joint_errors
 from rpod_analysis.scoring.run import StreamedRun
 from rpod_analysis.scoring.totals import RunTotals, summarise_durations
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.summary import EstimateCount, Summary
 
 

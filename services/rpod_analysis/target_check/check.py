@@ -8,12 +8,12 @@ import numpy as np
 from rpod_analysis.target_check.accuracy import SensorAccuracy, expected_accuracy
 from rpod_analysis.target_check.edges import Edge, straight_edges
 from rpod_analysis.target_check.holes import Opening, openings
-from rpod_analysis.target_check.likeness import judged_symmetries
+from rpod_analysis.target_check.likeness import checked_symmetries
 from rpod_analysis.target_check.trials import MethodFacts, try_methods
 from rpod_pose.registration.closest_point import Surface
 from rpod_target import Target
+from rpod_target.mesh.topology import areas_m2
 from rpod_target.symmetry import FoundSymmetry
-from rpod_target.topology import areas_m2
 
 _LISTED = 20
 """Number of openings and edges that are listed one by one, the longest."""
@@ -145,7 +145,7 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         openings=len(rims),
         longest_openings=tuple(rims[:_LISTED]),
         declared_symmetries=tuple(asdict(one) for one in target.symmetries),
-        found_symmetries=tuple(judged_symmetries(target)),
+        found_symmetries=tuple(checked_symmetries(target)),
         frames=tuple(described_frame(target, name) for name in target.frames),
         mass=_mass(target),
         distance_field=_field(target),

@@ -18,16 +18,16 @@ from rpod_runtime.clock import WallClock
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.frames import SensorReader, open_reader
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.sensor import EmulatedSensor, SensorInput
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.registry import resolve
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.schedule import frame_at
 from rpod_schemas.sensors import SensorKind
 from rpod_schemas.topics import Topic
 from rpod_schemas.types import SensorFrame
-from rpod_schemas.wire import GID_BYTES, Attachment
 from rpod_target import Target
 
 _EPOCH_NS = 1_000_000_000

@@ -6,7 +6,7 @@ import numpy as np
 
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_target import Target
-from rpod_target.topology import Indices, components, directed_edges, welded
+from rpod_target.mesh.topology import Indices, components, directed_edges, welded
 
 
 @dataclass(frozen=True)

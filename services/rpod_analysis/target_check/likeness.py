@@ -50,7 +50,7 @@ _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
 
-def judged_symmetries(target: Target) -> list[FoundSymmetry]:
+def checked_symmetries(target: Target) -> list[FoundSymmetry]:
     """Return the exact and the near symmetries of a target, with what sensors make of each; exact ones first.
 
     Exact is what no sensor distinguishes in any view, which a small part that few places of the comparison by
@@ -60,14 +60,14 @@ def judged_symmetries(target: Target) -> list[FoundSymmetry]:
     if not found:
         return []
     sensors = [_lidar(target), _pmd(target)]
-    judged = []
+    checked = []
     for one in found:
         likeness = tuple(each for sensor in sensors for each in _likeness(target, sensor, one))
         exact = all(each.alike == each.views for each in likeness) if likeness else one.exact
         mistaken = exact or any(2 * each.alike >= each.views for each in likeness)
-        judged.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
-    covered = [one for one in judged if one.continuous and one.mistaken]
-    kept = [one for one in judged if not any(_includes(other, one) for other in covered)]
+        checked.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
+    covered = [one for one in checked if one.continuous and one.mistaken]
+    kept = [one for one in checked if not any(_includes(other, one) for other in covered)]
     return sorted(kept, key=lambda one: (not one.exact, not one.mistaken))
 
 

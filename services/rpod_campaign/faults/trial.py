@@ -23,14 +23,14 @@ from rpod_pose.navigation.state import Output
 from rpod_runtime import Node, Received
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensors import CameraPublisher, LidarPublisher
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.faults import BY_NAME, PlannedFault
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.topics import Namespace, Topic
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 FRAME = "frame"
 """Column that distinguishes the rows of a sequence."""

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.integrity.ranges import with_longer_ranges
 from rpod_pose.measurement import Measurement
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
 
 _DECLARED = 23
 """Stream of random numbers."""
@@ -48,18 +48,10 @@ class DeclaredErrors:
 
     def measured(self, clean: Measurement) -> Measurement:
         """Return a measurement with these errors."""
-        data = scaled(clean.data, self.range_scale)
+        data = with_longer_ranges(clean.data, scale=self.range_scale)
         stamp_ns = data.stamp_ns + round(self.late_s * NANOSECONDS)
         return replace(
             clean,
             data=data.model_copy(update={"stamp_ns": stamp_ns}),
             T_chaser_sensor=clean.T_chaser_sensor * self.of_mount,
         )
-
-
-def scaled(data: SensorFrame, scale: float) -> SensorFrame:
-    """Return a frame whose ranges, of a camera its z-depths, are longer by a factor."""
-    if isinstance(data, PmdFrame):
-        return data.model_copy(update={"depth_m": data.depth_m * np.float32(scale)})
-    assert isinstance(data, LidarScan)  # noqa: S101 - the campaign's sensors are these two
-    return data.model_copy(update={"points_m": data.points_m * data.points_m.dtype.type(scale)})

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_campaign.integrity.ranges import with_longer_ranges
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration, Tracker
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
+from rpod_schemas.types import SensorFrame
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Injector:
             return replace(measurement, data=self._last.model_copy(update={"stamp_ns": data.stamp_ns}))
         if self._fault == "range_drift":
             longer_m = 1e-3 * self._size * (time_s - self._start_s)
-            return replace(measurement, data=_longer(data, longer_m))
+            return replace(measurement, data=with_longer_ranges(data, longer_m=longer_m))
         return measurement
 
 
@@ -118,14 +119,3 @@ class TurnedTracker:
         if found.T_sensor_target is None:
             return found
         return replace(found, T_sensor_target=found.T_sensor_target * self._turn)
-
-
-def _longer(data: SensorFrame, longer_m: float) -> SensorFrame:
-    """Return a frame whose ranges, of a camera its z-depths, are longer."""
-    if isinstance(data, PmdFrame):
-        return data.model_copy(update={"depth_m": data.depth_m + np.float32(longer_m)})
-    assert isinstance(data, LidarScan)  # noqa: S101 - the campaign's sensors are these two
-    range_m = np.linalg.norm(data.points_m, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.where(range_m > 0.0, 1.0 + longer_m / range_m, 1.0).astype(data.points_m.dtype)
-    return data.model_copy(update={"points_m": data.points_m * scale})

@@ -31,7 +31,7 @@ from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
 from rpod_schemas.config.estimator import PmdInput
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER

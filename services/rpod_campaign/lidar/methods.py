@@ -15,7 +15,7 @@ from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
+from rpod_schemas.config.lidar.methods import TemplateMatchingConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.types import LidarScan
 from rpod_target import Target

@@ -27,7 +27,7 @@ from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.motion import MotionConfig, StationKeepingConfig, TumbleConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose

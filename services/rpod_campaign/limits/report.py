@@ -116,7 +116,7 @@ _EFFECTS = ("right_refused", "wrong_refused_today", "wrong_refused", "wrong_refu
 
 
 def _derived(results: Results) -> list[Derived]:
-    """Return the limits of the tracker whose poses are judged."""
+    """Return the limits of the tracker whose poses are checked."""
     cell, by_body = results[0].cell, defaultdict[str, list[pl.DataFrame]](list)
     for result in results:
         by_body[result.cell.target].append(result.rows)

@@ -104,7 +104,7 @@ class Answer(NamedTuple):
     inliers: int = 0
     iterations: int = 0
     believed: bool = False
-    """Whether the method accepts the estimate without a doubt, or the navigator accepts the measurement."""
+    """Whether the method accepts the estimate, or the navigator accepts the measurement."""
     ambiguous: bool = False
     """Whether other poses explain the frame as well."""
 

@@ -10,7 +10,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import PmdFrame
 from rpod_target import Target
-from rpod_target.topology import unit_normals
+from rpod_target.mesh.topology import unit_normals
 
 _PATCHES = 12
 """Number of patches along each side of the image: depth is lost in areas, not in single pixels."""

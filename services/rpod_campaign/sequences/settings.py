@@ -5,9 +5,9 @@ from functools import lru_cache
 from rpod_campaign.lidar.methods import tracking_input
 from rpod_campaign.pmd.scene import camera_of, scenario_of
 from rpod_campaign.sequences.course import CourseCell
-from rpod_schemas.config.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import SensorInput
 
 

@@ -22,7 +22,7 @@ from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching,
 from rpod_pose.methods import methods_of
 from rpod_pose.ports import Tracker
 from rpod_schemas.config.emulator import WorldName
-from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
+from rpod_schemas.config.lidar.methods import TemplateMatchingConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator

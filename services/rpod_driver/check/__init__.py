@@ -6,6 +6,6 @@ same check holds for a sensor on the bus, a recording, and a driver in a test.
 
 from rpod_driver.check.judge import judge
 from rpod_driver.check.observations import Observations, Observer, Options
-from rpod_driver.check.verdict import Level, Verdict
+from rpod_driver.check.result import CheckResult, Level
 
-__all__ = ["Level", "Observations", "Observer", "Options", "Verdict", "judge"]
+__all__ = ["CheckResult", "Level", "Observations", "Observer", "Options", "judge"]

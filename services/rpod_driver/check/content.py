@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Kept, Observations, middle_m
-from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
-from rpod_schemas.types import PmdFrame, PmdInfo
+from rpod_schemas.types import PmdInfo
 
 _LIGHT_M_S = 299_792_458.0
-_CAMERA_M, _LIDAR_M = 100.0, 1000.0
-"""Distance beyond which no flash camera and no scanner of a facility sees a target."""
 _NEAR_M = 0.01
 _WRAPS = 10.0
 """Number of unambiguous ranges that several modulation frequencies may extend."""
@@ -32,7 +30,7 @@ _CUT_SHARE = 0.04
 _EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
 
 
-def content(seen: Observations) -> Verdict:
+def content(seen: Observations) -> CheckResult:
     """Judge whether the frames can be read."""
     line = "content"
     if not seen.frames:
@@ -46,7 +44,7 @@ def content(seen: Observations) -> Verdict:
     return ok(line, f"{len(seen.kept)} of {seen.frames} frames read")
 
 
-def frozen(seen: Observations) -> Verdict:
+def frozen(seen: Observations) -> CheckResult:
     """Judge whether content repeats under another stamp: noise never repeats to the bit."""
     line = "frozen"
     blank = not any(each.frame.returns_m.size or _has_depth(each) for each in seen.kept)
@@ -73,7 +71,7 @@ def _pairs(seen: Observations) -> Iterator[tuple[Kept, Kept]]:
             yield later, earlier
 
 
-def returns(seen: Observations) -> Verdict:
+def returns(seen: Observations) -> CheckResult:
     """Judge whether there are returns, and whether whole blocks of them come and go."""
     line = "returns"
     empty = sum(reason in _EMPTY for reason, _ in seen.refused)
@@ -150,7 +148,7 @@ def _point_blocks(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.intp]
     return np.array(counts)
 
 
-def saturation(seen: Observations) -> Verdict:
+def saturation(seen: Observations) -> CheckResult:
     """Judge how many of the lit pixels are saturated."""
     line = "saturation"
     shares = []
@@ -169,7 +167,7 @@ def saturation(seen: Observations) -> Verdict:
     return ok(line, text, saturated_share=share)
 
 
-def values(seen: Observations) -> Verdict:
+def values(seen: Observations) -> CheckResult:
     """Judge whether pixels without depth are NaN, and no depth is negative."""
     line = "values"
     floats = [kept.raw for kept in seen.kept if kept.encoding == "32FC1"]
@@ -183,8 +181,8 @@ def values(seen: Observations) -> Verdict:
     return ok(line, "pixels without depth are NaN")
 
 
-def unit(seen: Observations) -> Verdict:
-    """Judge whether distances can be metres."""
+def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
+    """Judge whether distances can be metres: the median is at most ``farthest_m``, for the reason ``why``."""
     line = "unit"
     unit_m = seen.options.source.depth_unit_m
     middles = [middle_m(kept.raw, kept.encoding, unit_m) for kept in seen.kept] + seen.raw_middle_m
@@ -192,9 +190,7 @@ def unit(seen: Observations) -> Verdict:
     if not middles:
         return unchecked(line, "no frame with a return could be read")
     middle = float(np.median(middles))
-    most_m, why = _LIDAR_M, "no scanner of a facility sees farther"
-    if seen.kind == "pmd":
-        most_m, why = _CAMERA_M, "no camera with a lamp sees farther"
+    most_m = farthest_m
     if isinstance(seen.info, PmdInfo) and seen.info.modulation_frequency_hz.size:
         unambiguous_m = _LIGHT_M_S / (2.0 * float(seen.info.modulation_frequency_hz.min()))
         limit_m = unambiguous_m * (_WRAPS if seen.info.modulation_frequency_hz.size > 1 else 1.0)
@@ -208,12 +204,12 @@ def unit(seen: Observations) -> Verdict:
     return ok(line, text, median_m=middle)
 
 
-def partial(seen: Observations) -> Verdict:
+def partial(seen: Observations) -> CheckResult:
     """Judge whether frames or scans are cut."""
     line = "partial"
     if len(seen.kept) < 4:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")
-    if isinstance(seen.kept[0].frame, PmdFrame):
+    if seen.kept[0].frame.images:
         cut: Sequence[float] = [_cut_share(*pair) for pair in _pairs(seen)]
         cut_frames = sum(share > _ROWS_SHARE for share in cut)
     else:
@@ -241,9 +237,9 @@ def _cut_share(before: Kept, after: Kept) -> float:
 
 
 def _live_rows(kept: Kept) -> NDArray[np.bool_]:
-    depth_m, amplitude = getattr(kept.frame, "depth_m", None), getattr(kept.frame, "amplitude", None)
-    alive = np.isfinite(depth_m) & (depth_m != 0.0) if depth_m is not None else np.zeros((1, 1), bool)
-    if amplitude is not None:
-        alive = alive | (amplitude > 0)
+    alive = np.zeros((1, 1), bool)
+    for image in kept.frame.images:
+        lit = image.values > 0 if image.scale == "grey" else np.isfinite(image.values) & (image.values != 0.0)
+        alive = alive | lit
     rows: NDArray[np.bool_] = alive.sum(axis=1) >= 3
     return rows

@@ -6,13 +6,13 @@ from itertools import pairwise
 import numpy as np
 
 from rpod_driver.check.observations import Heard, Observations
-from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF_STATIC
 
 LEAST_FRAMES = 8
-"""Number of frames from which on times between them are judged."""
+"""Number of frames from which on times between them are checked."""
 _MISSING_SHARE = 0.01
 """Share of missing frames that is no fault yet: one in a hundred costs a track nothing."""
 _STALL_S, _STALL_PERIODS = 0.5, 8.0
@@ -27,7 +27,7 @@ _OF_EACH_NODE = {DIAGNOSTICS.name, ROSOUT.name, PARAMETER_EVENTS.name, TF_STATIC
 _MOST_NAMED = 8
 
 
-def publisher(seen: Observations) -> Verdict:
+def publisher(seen: Observations) -> CheckResult:
     """Judge whether one publisher sends the frames."""
     line = "publisher"
     peers: dict[str, dict[object, list[int]]] = defaultdict(lambda: defaultdict(list))
@@ -64,14 +64,14 @@ def _published_instead(seen: Observations) -> str:
 
 
 def few(seen: Observations) -> str:
-    """Return why times cannot be judged; empty if they can."""
+    """Return why times cannot be checked; empty if they can."""
     count = len(seen.leads)
     return (
         "" if count >= LEAST_FRAMES else f"{count} frames came, {LEAST_FRAMES} are needed; watch for longer"
     )
 
 
-def rate(seen: Observations) -> Verdict:
+def rate(seen: Observations) -> CheckResult:
     """Judge the rate against the nominal one."""
     line = "rate"
     if reason := few(seen):
@@ -99,7 +99,7 @@ def _missing(leads: list[Heard], period_ns: float) -> list[int]:
     return missing
 
 
-def gaps(seen: Observations) -> Verdict:
+def gaps(seen: Observations) -> CheckResult:
     """Judge whether frames are missing between those that were published."""
     line = "gaps"
     if reason := few(seen):
@@ -120,7 +120,7 @@ def gaps(seen: Observations) -> Verdict:
     return ok(line, text, **figures)
 
 
-def bus(seen: Observations) -> Verdict:
+def bus(seen: Observations) -> CheckResult:
     """Judge losses and waits between publisher and receiver, and tell the bandwidth."""
     line = "bus"
     if reason := few(seen):
@@ -150,7 +150,7 @@ def bus(seen: Observations) -> Verdict:
     return fail(line, text, *faults, **figures) if faults else ok(line, text, **figures)
 
 
-def parts(seen: Observations) -> Verdict:
+def parts(seen: Observations) -> CheckResult:
     """Judge whether the parts of a frame come, under one stamp."""
     line = "parts"
     if reason := few(seen):

@@ -3,7 +3,7 @@
 One fit of all kept frames gives the time by which stamps are off, a range error that all points share, and
 how far the mount is off. Each point is paired with the nearest sample of the target's surface. The truth
 gives its velocity, and so the derivative by time. Values that the motion does not separate have large
-standard deviations and are not judged.
+standard deviations and are not checked.
 """
 
 from dataclasses import dataclass, replace
@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_driver.check.observations import Observations
+from rpod_driver.check.result import CheckResult, Level, fail, ok, unchecked
 from rpod_driver.check.sightings import Sighting, sightings_of
 from rpod_driver.check.surface import Surface
-from rpod_driver.check.verdict import Level, Verdict, fail, ok, unchecked
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
-from rpod_schemas.types import LidarInfo, PmdInfo
+from rpod_schemas.types import SensorInfo
 
 _LEAST_POSES = 3
 """Least number of poses of the truth."""
@@ -69,21 +69,21 @@ class Fitted:
         return bool((np.abs(self.values) > _IMPLAUSIBLE * _PRIOR).any())
 
 
-def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
-    """Return the verdicts with those that truth adds, in place of lines that were not checked without it."""
+def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResult]:
+    """Return the results with those that truth adds, in place of lines that were not checked without it."""
     surface = seen.options.surface
     if surface is None or len(seen.truth) < _LEAST_POSES:
         given = surface is not None
         return _without_truth(
-            verdicts, "no truth came" if given else "needs the target's surface and truth: give --target"
+            results, "no truth came" if given else "needs the target's surface and truth: give --target"
         )
     reason, sightings, T_chaser_sensor = sightings_of(seen, surface, seen.truth, gap_s=_TRUTH_GAP_S)
     if reason:
-        return _without_truth(verdicts, reason)
+        return _without_truth(results, reason)
     plain = fitted(sightings, surface, T_chaser_sensor)
     mirror = fitted([_mirrored(each) for each in sightings], surface, T_chaser_sensor)
     ratio = mirror.residual_m / max(plain.residual_m, 1e-6)
-    new = {each.line: each for each in (_undetermined() if plain.is_implausible else _judged(seen, plain))}
+    new = {each.line: each for each in (_undetermined() if plain.is_implausible else _checked(seen, plain))}
     if ratio < _MIRROR_SHARE:
         text = f"mirrored points fit the target {1.0 / ratio:.1f} times better"
         new = {"grid": fail("grid", text, "mirrored", mirror_ratio=ratio)}
@@ -94,18 +94,17 @@ def with_truth(seen: Observations, verdicts: list[Verdict]) -> list[Verdict]:
             "grid", f"mirrored points fit the target {ratio:.1f} times worse", mirror_ratio=ratio
         )
     merged = [
-        new.pop(each.line) if each.line in new and each.level is Level.UNCHECKED else each
-        for each in verdicts
+        new.pop(each.line) if each.line in new and each.level is Level.UNCHECKED else each for each in results
     ]
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
 
 
-def _undetermined() -> list[Verdict]:
+def _undetermined() -> list[CheckResult]:
     return [unchecked(line, UNDETERMINED) for line in ("instant", "range", "mount_truth")]
 
 
-def _without_truth(verdicts: list[Verdict], reason: str) -> list[Verdict]:
-    return [*verdicts, unchecked("range", reason), unchecked("mount_truth", reason)]
+def _without_truth(results: list[CheckResult], reason: str) -> list[CheckResult]:
+    return [*results, unchecked("range", reason), unchecked("mount_truth", reason)]
 
 
 def _mirrored(sighting: Sighting) -> Sighting:
@@ -194,7 +193,7 @@ def _distances(sighting: Sighting, values: FloatArray, surface: Surface, mount: 
     return np.asarray(surface.tree.query(_moved(sighting, values, mount)[0])[0])
 
 
-def _judged(seen: Observations, fit: Fitted) -> list[Verdict]:
+def _checked(seen: Observations, fit: Fitted) -> list[CheckResult]:
     """Return the lines that a fit judges."""
     dt_s, range_m = fit.values[:2]
     sigmas = fit.sigmas
@@ -206,12 +205,10 @@ def _judged(seen: Observations, fit: Fitted) -> list[Verdict]:
 
 
 def _duration_s(seen: Observations) -> float:
-    if isinstance(seen.info, PmdInfo):
-        return float(seen.info.integration_time_s)
-    return float(seen.info.scan_time_s) if isinstance(seen.info, LidarInfo) else 0.0
+    return seen.info.duration_s if isinstance(seen.info, SensorInfo) else 0.0
 
 
-def _instant(seen: Observations, dt_s: float, sigma_s: float) -> Verdict:
+def _instant(seen: Observations, dt_s: float, sigma_s: float) -> CheckResult:
     half_s = 0.5 * _duration_s(seen)
     text = f"motion fits {1e3 * dt_s:+.2f} ms after the stamps, standard deviation {1e3 * sigma_s:.2f} ms"
     figures = {"offset_s": dt_s, "sigma_s": sigma_s}
@@ -228,7 +225,7 @@ def _instant(seen: Observations, dt_s: float, sigma_s: float) -> Verdict:
     return ok("instant", f"{text}: the middle of the exposure", **figures)
 
 
-def _range(range_m: float, along_m: float, sigmas: FloatArray) -> Verdict:
+def _range(range_m: float, along_m: float, sigmas: FloatArray) -> CheckResult:
     """Judge the error that all ranges share; a mount that is off along the boresight looks the same."""
     total_m = range_m - along_m
     sigma_m = float(min(sigmas[1], sigmas[4]))
@@ -239,7 +236,7 @@ def _range(range_m: float, along_m: float, sigmas: FloatArray) -> Verdict:
     return ok("range", text, **figures)
 
 
-def _mount(fit: Fitted) -> Verdict:
+def _mount(fit: Fitted) -> CheckResult:
     text, figures, distance = mount_error(fit)
     if distance > MOST_DISTANCE:
         return fail("mount_truth", text, "mount_off", **figures)
@@ -265,12 +262,12 @@ def mount_error(
         f"{1e3 * float(np.linalg.norm(fit.sigmas[2:4])):.1f} mm, "
         f"{float(np.rad2deg(np.linalg.norm(fit.sigmas[5:8]))):.2f} deg"
     )
-    # Across the boresight a shift and a turn look alike, so that only both together are judged.
-    judged = [2, 3, 5, 6, 7]
+    # Across the boresight a shift and a turn look alike, so that only both together are checked.
+    checked = [2, 3, 5, 6, 7]
     allowed = np.diag([_MOUNT_M] * 2 + [np.deg2rad(_MOUNT_DEG)] * 3) ** 2 / _SIGMAS**2
     allowed += np.diag([sigma_m] * 2 + [sigma_rad] * 3) ** 2
-    off = fit.values[judged]
-    distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(judged, judged)] + allowed, off)))
+    off = fit.values[checked]
+    distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(checked, checked)] + allowed, off)))
     return text, {"aside_m": aside_m, "turned_deg": turned_deg}, distance
 
 

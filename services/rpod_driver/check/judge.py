@@ -1,13 +1,15 @@
-"""The whole check: a pure function from the observations of a sensor to one verdict a line."""
+"""The whole check: a pure function from the observations of a sensor to one result a line."""
 
-from rpod_driver.check import content, delivery, geometry, plane, second_sensor, setup, stamps
+from rpod_driver.check import content, delivery, geometry, second_sensor, setup, stamps
+from rpod_driver.check.kinds import checks_of
 from rpod_driver.check.observations import Observations
-from rpod_driver.check.verdict import Verdict
+from rpod_driver.check.result import CheckResult
 
 
-def judge(seen: Observations) -> list[Verdict]:
-    """Return one verdict a line, in the order of the catalogue."""
-    verdicts = [
+def judge(seen: Observations) -> list[CheckResult]:
+    """Return one result a line, in the order of the catalogue."""
+    checks = checks_of(seen.kind)
+    results = [
         delivery.publisher(seen),
         delivery.rate(seen),
         delivery.gaps(seen),
@@ -21,20 +23,11 @@ def judge(seen: Observations) -> list[Verdict]:
         content.frozen(seen),
         content.returns(seen),
         content.partial(seen),
-        content.unit(seen),
+        content.unit(seen, farthest_m=checks.farthest_m, why=checks.why),
         setup.mount(seen),
         second_sensor.mount_second(seen),
         setup.qos(seen),
         setup.instant(seen),
-        setup.grid(seen),
+        *(line(seen) for line in checks.lines),
     ]
-    if seen.kind == "pmd":
-        verdicts += [
-            content.values(seen),
-            content.saturation(seen),
-            plane.depth_model(seen),
-            setup.lens(seen),
-        ]
-    if seen.kind == "lidar":
-        verdicts += [setup.axes(seen), setup.point_times(seen)]
-    return geometry.with_truth(seen, verdicts)
+    return geometry.with_truth(seen, results)

@@ -7,9 +7,9 @@ from typing import Any
 from rpod_driver.check.observations import Observations, Observer
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.clock import WallClock
-from rpod_schemas.cdr import encode
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import Topic
-from rpod_schemas.wire import Attachment
 
 _POLL_S = 0.1
 

@@ -19,7 +19,6 @@ from rpod_runtime.assembler import Assembled, GivenUp
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.frames import assembler_of, open_reader
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
-from rpod_schemas.cdr import peek_stamp
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -32,6 +31,7 @@ from rpod_schemas.messages import (
     read_status,
     read_transforms,
 )
+from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF_STATIC, TRUTH, Topic
 from rpod_schemas.types import Camera, Diagnostic, EstimatorStatus, Float32Array, Odometry, SensorFrame

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Observations
-from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import ray_cosines, undistort
 from rpod_geometry.planes import fitted_plane, largest_plane
@@ -24,7 +24,7 @@ _CONTRAST = 0.5
 """Least curvature under the wrong meaning, over the noise, that is visible."""
 
 
-def depth_model(seen: Observations) -> Verdict:
+def depth_model(seen: Observations) -> CheckResult:
     """Judge whether depth is z-depth, on planes in view."""
     line = "depth_model"
     frames = [kept.frame for kept in seen.kept if isinstance(kept.frame, PmdFrame)]

@@ -16,8 +16,8 @@ from rpod_driver.check.geometry import (
     mount_is_undetermined,
 )
 from rpod_driver.check.observations import Observations
+from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_driver.check.sightings import sightings_of
-from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
 from rpod_schemas.types import Odometry
 
 _LINE = "mount_second"
@@ -27,7 +27,7 @@ _GAP_S = 1.1
 (8 deg/s)^2 (1.1 s)^2 / 8 = 0.17 deg, a sixth of what a mount may be off."""
 
 
-def mount_second(seen: Observations) -> Verdict:
+def mount_second(seen: Observations) -> CheckResult:
     """Judge the mount against the poses that an estimator finds with another sensor."""
     surface, against = seen.options.surface, seen.options.against
     if surface is None or against is None:
@@ -48,10 +48,10 @@ def mount_second(seen: Observations) -> Verdict:
     if reason:
         return unchecked(_LINE, reason)
     others = ", ".join(sorted({measured_by[each.stamp_ns] for each in poses}))
-    return _judged(fitted(sightings, surface, mount), poses, others)
+    return _checked(fitted(sightings, surface, mount), poses, others)
 
 
-def _judged(fit: Fitted, poses: list[Odometry], others: str) -> Verdict:
+def _checked(fit: Fitted, poses: list[Odometry], others: str) -> CheckResult:
     if fit.is_implausible:
         return unchecked(_LINE, UNDETERMINED)
     text, figures, distance = mount_error(fit, *_sigmas(poses))

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Observations
-from rpod_driver.check.verdict import Verdict, fail, note, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.sensor_data.scan_grid import angles_of, rows_are_elevation
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC
-from rpod_schemas.types import LidarInfo, LidarScan
+from rpod_schemas.types import LidarInfo, LidarScan, SensorInfo
 
 _FULL_TURN = 0.9
 """Length of the mean direction below which a scanner looks all around."""
@@ -27,7 +27,7 @@ def _scans(seen: Observations) -> list[LidarScan]:
     return [kept.frame for kept in seen.kept if isinstance(kept.frame, LidarScan)]
 
 
-def axes(seen: Observations) -> Verdict:
+def axes(seen: Observations) -> CheckResult:
     """Judge whether points have z along the boresight, by where they lie or by the axis of a turning head."""
     line = "axes"
     scans = [scan for scan in _scans(seen) if len(scan.returns_m)]
@@ -46,12 +46,15 @@ def axes(seen: Observations) -> Verdict:
     return fail(line, text, "forward_axes") if forward else ok(line, f"{text}, z along the boresight")
 
 
-def grid(seen: Observations) -> Verdict:
+def mirrored(seen: Observations) -> CheckResult:  # noqa: ARG001 - as of all lines
+    """Return the line ``grid`` of a sensor without a scan pattern."""
+    return unchecked("grid", "a mirrored image shows only against truth: give --target")
+
+
+def grid(seen: Observations) -> CheckResult:
     """Judge a scan's rows and columns against the pattern that its info states."""
     line = "grid"
     info = seen.info
-    if seen.kind != "lidar":
-        return unchecked(line, "a mirrored image shows only against truth: give --target")
     raws = [kept.raw for kept in seen.kept if kept.raw.ndim == 3]
     if not isinstance(info, LidarInfo) or not raws:
         return unchecked(line, "the sensor states no pattern, or its scans have no rows and columns")
@@ -72,7 +75,7 @@ def grid(seen: Observations) -> Verdict:
     return _pattern(raw, info)
 
 
-def _pattern(raw: NDArray[Any], info: LidarInfo) -> Verdict:
+def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
     """Judge the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
@@ -102,11 +105,11 @@ def _pattern(raw: NDArray[Any], info: LidarInfo) -> Verdict:
     return fail("grid", text, "wrong_pattern", **figures) if off else ok("grid", text, **figures)
 
 
-def point_times(seen: Observations) -> Verdict:
+def point_times(seen: Observations) -> CheckResult:
     """Judge the times of points against the scan time that the info states."""
     line = "point_times"
     scans, info = _scans(seen), seen.info
-    scan_s = info.scan_time_s if isinstance(info, LidarInfo) else 0.0
+    scan_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
     refused = [text for _, text in seen.refused if text.startswith("t ")]
     if refused:
         return fail(line, refused[0], "point_time_unit")
@@ -124,12 +127,12 @@ def point_times(seen: Observations) -> Verdict:
     return ok(line, text, span_share=share)
 
 
-def instant(seen: Observations) -> Verdict:
+def instant(seen: Observations) -> CheckResult:
     """Judge to which instant of a scan its stamp refers, by the times of its points."""
     line = "instant"
     scans, info = _scans(seen), seen.info
     timed = [scan.time_s for scan in scans if scan.time_s is not None]
-    scan_s = info.scan_time_s if isinstance(info, LidarInfo) else 0.0
+    scan_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
     if not timed or not scan_s:
         return unchecked(line, "start or middle shows only against truth: give --target")
     lows, highs = zip(*((np.nanmin(time_s), np.nanmax(time_s)) for time_s in timed), strict=True)
@@ -143,10 +146,10 @@ def instant(seen: Observations) -> Verdict:
     return ok(line, text, middle_share=middle)
 
 
-def lens(seen: Observations) -> Verdict:
+def lens(seen: Observations) -> CheckResult:
     """Judge the lens by itself, and whether it stays."""
     line = "lens"
-    if seen.kind != "pmd" or not seen.cameras:
+    if not seen.cameras:
         return unchecked(line, "no camera_info came")
     camera = seen.cameras[0]
     text = (
@@ -164,7 +167,7 @@ def lens(seen: Observations) -> Verdict:
     return ok(line, text, fx=camera.fx, fy=camera.fy)
 
 
-def mount(seen: Observations) -> Verdict:
+def mount(seen: Observations) -> CheckResult:
     """Judge whether one chain of transforms leads from the sensor to the chaser."""
     line = "mount"
     if not seen.frame_ids:
@@ -182,7 +185,7 @@ def mount(seen: Observations) -> Verdict:
     return ok(line, ", ".join(places))
 
 
-def qos(seen: Observations) -> Verdict:
+def qos(seen: Observations) -> CheckResult:
     """Judge whether latched topics are latched, by the tokens of their publishers."""
     line = "qos"
     came = {TF_STATIC.name: seen.mounts, f"{seen.name}/info": seen.infos}

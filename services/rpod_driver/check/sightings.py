@@ -13,7 +13,7 @@ from rpod_geometry.lens import undistort
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
-from rpod_schemas.types import Float32Array, Odometry, PmdFrame, SensorFrame
+from rpod_schemas.types import Float32Array, Odometry, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
 _LEAST_FRAMES, _LEAST_POINTS = 12, 60
@@ -82,16 +82,16 @@ def _at(poses: list[Odometry], times_ns: FloatArray, stamp_ns: int, gap_s: float
 
 def points_of(frame: SensorFrame) -> FloatArray:
     """Return the returns of a frame, sensor axes, shape (N, 3), m."""
-    if not isinstance(frame, PmdFrame):
+    camera, image_m = frame.lens, frame.range_image_m
+    if camera is None or image_m is None:
         return frame.returns_m.astype(np.float64)
-    camera = frame.camera
-    rows, columns = np.nonzero(_inner(frame.depth_m))
+    rows, columns = np.nonzero(_inner(image_m))
     distorted = np.stack(((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy))
     try:
         x, y = undistort(distorted.astype(np.float64), camera)
     except DistortionError:
         return np.zeros((0, 3))
-    depth_m = frame.depth_m[rows, columns].astype(np.float64)
+    depth_m = image_m[rows, columns].astype(np.float64)
     return np.stack((x * depth_m, y * depth_m, depth_m), axis=1)
 
 

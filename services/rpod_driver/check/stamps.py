@@ -6,7 +6,7 @@ import numpy as np
 
 from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
-from rpod_driver.check.verdict import Verdict, fail, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -21,7 +21,7 @@ _DRIFT_S = 8.0
 _TAI_WITHIN_S = 1.0
 
 
-def order(seen: Observations) -> Verdict:
+def order(seen: Observations) -> CheckResult:
     """Judge whether stamps rise."""
     line = "order"
     if len(seen.leads) < 2:
@@ -33,7 +33,7 @@ def order(seen: Observations) -> Verdict:
     return fail(line, text, *faults) if faults else ok(line, text)
 
 
-def jitter(seen: Observations) -> Verdict:
+def jitter(seen: Observations) -> CheckResult:
     """Judge how even the stamps are, whatever frames are missing."""
     line = "jitter"
     if reason := few(seen):
@@ -51,7 +51,7 @@ def jitter(seen: Observations) -> Verdict:
     return ok(line, text, jitter_s=sigma_s)
 
 
-def clock(seen: Observations) -> Verdict:
+def clock(seen: Observations) -> CheckResult:
     """Judge the stamps against the time of arrival, within the limits of the estimator."""
     line = "clock"
     if not seen.leads:
@@ -83,7 +83,7 @@ def _name(ahead_s: float, stamp_ns: int) -> str:
     return "clock_ahead" if ahead_s > 0 else "clock_behind"
 
 
-def drift(seen: Observations) -> Verdict:
+def drift(seen: Observations) -> CheckResult:
     """Judge whether the sensor's clock runs as fast as this machine's.
 
     Delays only add. So the least difference between arrival and stamp in each stretch follows the clock.

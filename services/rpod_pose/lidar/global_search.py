@@ -32,7 +32,7 @@ from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
 from rpod_pose.search.turns import Turns
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target

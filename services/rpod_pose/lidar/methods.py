@@ -19,8 +19,8 @@ from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
 from rpod_pose.surroundings.separation import Label, RangeImage
 from rpod_schemas.config.estimator import LidarInput
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, ProjectiveIcpConfig
+from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.sensors import method
 from rpod_schemas.types import Float32Array, LidarInfo, LidarScan
 from rpod_target import Target

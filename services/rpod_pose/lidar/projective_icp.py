@@ -44,7 +44,7 @@ from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel, LidarScan, Source
 from rpod_target import Target
@@ -87,7 +87,7 @@ class ProjectiveIcp:
         self._model_error = ModelError.of(target)
         self.model = ScanModel(
             tuning.model,
-            tuning.verdict,
+            tuning.acceptance,
             self.view,
             self.surface,
             sigma_range_m=pattern.sigma_range_m,

@@ -37,7 +37,7 @@ from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
 ENTROPY = sqrt(2.0 * pi * e)
 """Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
@@ -84,7 +84,7 @@ class ScanModel:
 
     Args:
         config: assumptions about the scans.
-        verdict: limits within which a pose explains a scan.
+        acceptance: limits within which a pose explains a scan.
         view: rays of the scan pattern.
         surface: model of the target.
         sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
@@ -94,21 +94,21 @@ class ScanModel:
     def __init__(
         self,
         config: ScanModelConfig,
-        verdict: ScanVerdictConfig,
+        acceptance: ScanAcceptanceConfig,
         view: ScanView,
         surface: SurfaceModel,
         *,
         sigma_range_m: float = 0.0,
         tolerance_m: float = 0.0,
     ) -> None:
-        self._view, self._verdict = view, verdict
+        self._view, self._acceptance = view, acceptance
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
         self._uneven_m = hypot(_UNEVEN * self.sigma_range_m, tolerance_m)
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
         self._radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
         self.assumed = _assumptions(config, self.sigma_range_m, self._radius_m)
-        worse = config.model_copy(update=dict(verdict.pessimistic))
+        worse = config.model_copy(update=dict(acceptance.pessimistic))
         self._pessimistic = _assumptions(worse, self.sigma_range_m, self._radius_m)
 
     def informative(self, seen: SeenScan) -> float:
@@ -205,10 +205,10 @@ class ScanModel:
         }
 
     def _explains(self, evidence: Mapping[str, float]) -> bool:
-        verdict = self._verdict
+        acceptance = self._acceptance
         return (
-            evidence["deficit_sigmas"] <= verdict.max_deficit
-            and evidence["disagreeing_share"] <= verdict.inconsistent_share
+            evidence["deficit_sigmas"] <= acceptance.max_deficit
+            and evidence["disagreeing_share"] <= acceptance.inconsistent_share
         )
 
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariances: FloatArray) -> SampledPosterior:

@@ -40,7 +40,7 @@ from rpod_pose.registration.normal_equations import gradient_of, information_of,
 from rpod_pose.registration.step_posterior import Steps, propagated
 from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 
 ROUNDS = 5
 """Largest number of times that the outline is found anew."""

@@ -28,7 +28,7 @@ from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_search import GlobalSearchConfig, SearchLevelConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig, SearchLevelConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Float32Array
 
@@ -98,8 +98,8 @@ class Scanner:
         radius_m: float,
     ) -> Self:
         """Return the scanner of a view; the sigma of a range is 0 if the sensor does not state it."""
-        model, verdict = config.tracking.tuning.model, config.tracking.tuning.verdict
-        statistics = ScanModel(model, verdict, view, surface, sigma_range_m=sigma_range_m)
+        model, acceptance = config.tracking.tuning.model, config.tracking.tuning.acceptance
+        statistics = ScanModel(model, acceptance, view, surface, sigma_range_m=sigma_range_m)
         reach = reach_of(view, config.tracking, radius_m)
         return cls(view, ReturnDistances.of(view), statistics, reach)
 

@@ -7,7 +7,7 @@ import numpy as np
 from rpod_pose.lidar.global_search import GlobalSearch
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Acquisition
-from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig
 from rpod_schemas.types import LidarInfo, LidarScan
 from rpod_target import Target
 

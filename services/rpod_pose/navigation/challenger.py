@@ -15,7 +15,7 @@ import numpy as np
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import pose_error
 

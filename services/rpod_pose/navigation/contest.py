@@ -6,7 +6,7 @@ from rpod_pose.navigation.challenger import Outcome, challenge
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.state import NavigatorState
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.types import Mode
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 
 
 class Applied(NamedTuple):

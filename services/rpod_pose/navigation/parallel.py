@@ -15,7 +15,7 @@ from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import chained
 from rpod_schemas.types import SensorFrame
 from rpod_target import Equivalence

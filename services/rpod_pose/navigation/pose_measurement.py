@@ -11,10 +11,10 @@ covariance is the average of those that the frames of one view state (``blocks.a
 states a larger one, the difference is noise of this frame.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, radians
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -36,9 +36,11 @@ from rpod_pose.navigation.filter.blocks import averaged
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
+
+ResultT = TypeVar("ResultT")
 
 MOUNT = "mount of {}"
 """Name of the block with the error of a sensor's mount: (dp, dtheta) of the stated mount, chaser axes."""
@@ -111,21 +113,20 @@ def started(
 
 def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Update:
     """Return the update of a prediction to the stamp of a measured pose."""
-    shared = shared_errors(measured, config, predicted.blocks)
-    return update(
-        grown(predicted, shared.blocks),
-        measured.T_chaser_target,
-        shared.covariance,
-        config=config,
-        sensitivities=shared.sensitivities,
-        white=shared.white,
-    )
+    return _applied(update, predicted, measured, config)
 
 
 def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Innovation:
     """Return the innovation of a measured pose against a prediction to its stamp."""
+    return _applied(innovation_of, predicted, measured, config)
+
+
+def _applied(
+    step: Callable[..., ResultT], predicted: FilterState, measured: PoseMeasurement, config: FilterConfig
+) -> ResultT:
+    """Return the result of a step of the filter with a measured pose, its shared errors as blocks."""
     shared = shared_errors(measured, config, predicted.blocks)
-    return innovation_of(
+    return step(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
         shared.covariance,

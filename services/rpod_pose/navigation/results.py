@@ -13,7 +13,7 @@ from rpod_pose.navigation.filter import predict, to_odometry
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.state import NavigatorState, Output, RefusedPixels
 from rpod_pose.ports import Acquisition, Angle, Registration
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE
 from rpod_schemas.types import EstimatorStatus, Hypothesis, Joints, Odometry, Source

@@ -25,8 +25,8 @@ from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
@@ -44,8 +44,7 @@ _SPREAD = (0.1, 0.75)
 disc has 0.71."""
 _LONGEST = 1.02
 """Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding."""
-_STEP_M = 0.001
-_END_M = 30.0
+_STEP_M, _END_M = 0.001, 30.0
 """Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
 """Iterations of the inversion of a calibration; each halves the error, whose slope is at most 0.5."""

@@ -11,7 +11,7 @@ from rpod_pose.pmd.depth_view import DepthImage
 from rpod_pose.ports import Registration
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthErrorConfig
+from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthErrorConfig
 from rpod_schemas.types import Source
 from rpod_target import Target
 

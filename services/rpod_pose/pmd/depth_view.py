@@ -16,7 +16,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.lens import distort
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import DepthComparisonConfig, DepthImageConfig
+from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 

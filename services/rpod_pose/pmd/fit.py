@@ -27,7 +27,7 @@ from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import PoseArrays, turned
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdModelConfig
+from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 from rpod_target.tables import Tables, kept_of
@@ -59,7 +59,7 @@ def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:
         return every, np.arange(len(every))
 
     def make() -> Tables:
-        from rpod_target.simplification import simplified  # noqa: PLC0415 - Open3D takes 0.7 s of a start
+        from rpod_target.mesh.simplification import simplified  # noqa: PLC0415 - Open3D takes 0.7 s of a start
 
         size_m = float(np.ptp(every.reshape(-1, 3), axis=0).max())
         triangles_m, which, _ = simplified(every, largest_error=SIMPLER_SHARE * size_m, steps=SIMPLER)

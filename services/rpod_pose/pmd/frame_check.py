@@ -32,7 +32,7 @@ from rpod_pose.pmd.rendering import (
     facing,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_check import PmdCheckConfig
+from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
 
 SIGMAS = 3.0

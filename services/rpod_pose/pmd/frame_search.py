@@ -21,7 +21,7 @@ from rpod_pose.search.even_samples import sobol
 from rpod_pose.search.turns import Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionTuning
+from rpod_schemas.config.pmd.search import PmdAcquisitionTuning
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
@@ -32,6 +32,7 @@ FIELD_STEPS = np.geomspace(1.0, 0.2, 6)
 FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 """Geman-McClure scales of the steps that refine the best candidates, over the truncation."""
 _ROUNDS, _SAMPLES = 6, 32
+"""Number of rounds of the refinement on the outline, and of samples in each: a budget of computation."""
 _POWER = 8
 """A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
 

@@ -24,12 +24,12 @@ from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
-from rpod_schemas.config.depth_calibration import DepthCalibration
 from rpod_schemas.config.estimator import PmdInput
-from rpod_schemas.config.pmd_amplitude import EpnpConfig, HybridConfig
-from rpod_schemas.config.pmd_joint import JointConfig
-from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig, SignedDistanceConfig
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd.amplitude import EpnpConfig, HybridConfig
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
+from rpod_schemas.config.pmd.joint import JointConfig
+from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig, SignedDistanceConfig
+from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.sensors import method
 from rpod_schemas.types import Camera, Float32Array, PmdFrame, PmdInfo
 from rpod_target import Target

@@ -94,7 +94,7 @@ class PmdFrames:
 
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
         """Return the z-depth of each pixel, as measured: gate and background are of this."""
-        return np.where(frame.depth_m > 0.0, frame.depth_m, np.float32(0.0))
+        return frame.range_image_m
 
 
 def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: np.uint16) -> Array:

@@ -17,12 +17,13 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.depth_view import DepthView, downsampled
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdSceneConfig
+from rpod_schemas.config.pmd.search import PmdSceneConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 DARKEST_PERCENT = 2.0
 """Percentile of the amplitudes of pixels with depth that stands for the darkest of them."""
 SEGMENTATION_ROUNDS = 5
+"""Largest number of times that a ball around the target is moved to the median of the points in it."""
 REACH = 1.5
 """Radius, in radii of the target, around the median of its visible points that contains all of them."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0

@@ -22,7 +22,7 @@ from rpod_pose.registration.gauss_newton import Linear, State
 from rpod_pose.registration.lie_group import PoseArrays, step_length_m
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import SignedDistanceConfig
+from rpod_schemas.config.pmd.methods import SignedDistanceConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target

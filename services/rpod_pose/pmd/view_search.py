@@ -45,7 +45,7 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig
+from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
@@ -134,7 +134,7 @@ class ViewSearch:
         if isinstance(scene, str):
             return Acquisition(Registration.none(Source.NONE, scene))
         if around is None:
-            attitudes = attitudes_of(self._config.attitudes)
+            attitudes = attitudes_of(self._config.tuning.attitudes)
         else:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
@@ -215,7 +215,7 @@ class ViewSearch:
         )
 
     def _registered(self, task: _Task, pose: Pose) -> Registration:
-        """Return a pose that the search found, refined and judged by the tracker."""
+        """Return a pose that the search found, refined and checked by the tracker."""
         found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))

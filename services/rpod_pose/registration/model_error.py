@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
-from rpod_target.sampling import spread_over
-from rpod_target.topology import areas_m2
+from rpod_target.build.sampling import spread_over
+from rpod_target.mesh.topology import areas_m2
 
 CELL = 0.4
 """Size of a cell over the target's longest side: half of the length of a wave of a body that is deformed."""

@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.kernels import kernel
 from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import DepthErrorConfig
+from rpod_schemas.config.pmd.methods import DepthErrorConfig
 from rpod_target.equivalence import with_variance_about
 
 DAMPING = 1e-6

@@ -14,7 +14,7 @@ from rpod_pose.registration.distance_field import FieldArrays, checked, field_ar
 from rpod_pose.registration.lie_group import in_sensor
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
-from rpod_target.topology import directed_edges, welded
+from rpod_target.mesh.topology import directed_edges, welded
 
 COARSE_CELLS = 3
 """Cells of the distance field per cell of the coarse field, along each axis."""

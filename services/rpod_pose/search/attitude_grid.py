@@ -11,7 +11,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+"""Angle between successive points of an even spiral on a sphere, rad."""
 BORESIGHT = np.array([0.0, 0.0, 1.0])
+"""Direction in which a sensor looks (ICD section 1)."""
 
 
 def super_fibonacci(count: int) -> Rotation:

@@ -23,8 +23,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import between, chained
 from rpod_schemas.topics import CHASER
-from rpod_target.mesh_files import surface_m
-from rpod_target.topology import unit_normals
+from rpod_target.mesh.files import surface_m
+from rpod_target.mesh.topology import unit_normals
 
 LONGEST_GAP_S = 0.1
 """Time from the newest reading beyond which the place of a body is not known: an arm that moves with 0.3 m/s

@@ -22,7 +22,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 LEAST_RAYS = 20
-"""Least number of rays that should meet a body, and that nothing hides, by which it is judged."""
+"""Least number of rays that should meet a body, and that nothing hides, by which it is checked."""
 LEAST_SHARE = 0.5
 """Least share of these rays that must end on it: the other half may be dark, or too steep for a range."""
 MOST_BEYOND = 0.1
@@ -44,7 +44,7 @@ NEAREST_FIRST = 0.03
 MOST_INSIDE, MOST_AROUND = 300, 150
 """Most rays on the shape and around it that are compared at each offset."""
 FRAMES = 3
-"""Number of judged frames in a row after which a body's state changes."""
+"""Number of checked frames in a row after which a body's state changes."""
 
 
 class BodyState(StrEnum):
@@ -57,7 +57,7 @@ class BodyState(StrEnum):
     UNSEEN = "unseen"
     """Most of its rays have no range: it is dark, or it is not there."""
     HIDDEN = "hidden"
-    """Too few rays should meet it, or other things hide it: it is not judged."""
+    """Too few rays should meet it, or other things hide it: it is not checked."""
 
 
 class Place(NamedTuple):

@@ -30,6 +30,7 @@ SIGMAS = 4.0
 RESOLUTION = 2e-3
 """Least standard deviation of a range, over the range: clocks and temperature drift."""
 MAD_TO_SIGMA = 1.4826
+"""Standard deviation over the median of absolute values, for normal errors."""
 MOST_FRAMES = 200
 """Most frames from which a background is learned, spread evenly over all."""
 

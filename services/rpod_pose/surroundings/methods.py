@@ -192,7 +192,7 @@ class TrackerAmongThings(Generic[FrameT]):
             return found
         belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})
         most_unexplained = self._most_unexplained(image, found.T_sensor_target)
-        return _judged(replace(found, belief=belief), sight, most_unexplained)
+        return _checked(replace(found, belief=belief), sight, most_unexplained)
 
     def _tracked_within(
         self, share: float, measurement: FrameT, image: RangeImage, found: Registration, pose: RigidTransform
@@ -231,7 +231,7 @@ def _unlike(sight: Sight, most_unexplained: int) -> str:
     return ""
 
 
-def _judged(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
+def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
     """Return a registration, which is contradicted where too little of it is the target's own surface."""
     evidence = {
         **found.belief.evidence,

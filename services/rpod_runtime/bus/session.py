@@ -16,7 +16,7 @@ import zenoh
 from rpod_runtime.bus.refusal import why_refused
 from rpod_runtime.bus.starts import next_start
 from rpod_runtime.errors import EndpointError, NoRouterError, RefusedByRouterError
-from rpod_schemas.config.link import LinkConfig
+from rpod_schemas.config.facility.link import LinkConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.topics import TRUTH_TOPICS
 

@@ -9,7 +9,7 @@ import fcntl
 import logging
 import time
 
-from rpod_schemas.cache_folder import cache_folder
+from rpod_schemas.caches.folder import cache_folder
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from threading import Lock
 
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.wire import Attachment
+from rpod_schemas.rmw.wire import Attachment
 
 Publication = tuple[str, bytes]
 """Key and gid, which identify one publisher's sequence."""

@@ -11,9 +11,9 @@ from threading import Condition
 from typing import Any
 
 from rpod_runtime.delivery.holders import Peer
-from rpod_schemas.cdr import decode
+from rpod_schemas.rmw.cdr import decode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import Topic
-from rpod_schemas.wire import Attachment
 
 
 @dataclass(frozen=True, slots=True)

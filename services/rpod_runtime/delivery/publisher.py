@@ -9,9 +9,9 @@ from typing import Any, Self
 import zenoh
 import zenoh.ext
 
-from rpod_schemas.cdr import encode
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.topics import Namespace, Topic
-from rpod_schemas.wire import GID_BYTES, Attachment
 
 _HEARTBEAT_S = 0.2
 

@@ -20,8 +20,8 @@ from rpod_runtime.delivery.flow import Flow
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.health import HealthBook
 from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.rmw.wire import UNNUMBERED, Attachment, unpack_attachment
 from rpod_schemas.topics import Namespace, Topic
-from rpod_schemas.wire import UNNUMBERED, Attachment, unpack_attachment
 
 log = logging.getLogger(__name__)
 

@@ -81,7 +81,7 @@ def run(
 
 
 def _heed_signals(stop: threading.Event, reload: Callable[[], object] | None) -> None:
-    """Heed signals in a thread of their own.
+    """Handle signals in a thread of their own.
 
     A signal handler that set the event itself would hang if the main thread held the event's lock. The thread
     also lets the second signal end a process whose main thread runs compiled code.

@@ -7,10 +7,10 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel
 
-from rpod_schemas.cdr import message_class
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.messages.ros import read_reset
-from rpod_schemas.service_types import RESET, TRIGGER
+from rpod_schemas.rmw.cdr import message_class
+from rpod_schemas.rmw.service_types import RESET, TRIGGER
 
 RequestT = TypeVar("RequestT", bound=BaseModel)
 

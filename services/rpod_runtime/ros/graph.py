@@ -14,10 +14,10 @@ from rpod_runtime.ros.parameter_services import ParameterServices
 from rpod_runtime.ros.parameters import Assignment, Parameters
 from rpod_runtime.ros.rosout import RosoutHandler
 from rpod_runtime.ros.server import Answer, Refuse, ServiceServer
-from rpod_schemas import qos
 from rpod_schemas.messages.ros import write_parameter, write_parameter_event
+from rpod_schemas.rmw import qos
+from rpod_schemas.rmw.wire import node_name
 from rpod_schemas.topics import PARAMETER_EVENTS, ROSOUT, Namespace, Service, Topic
-from rpod_schemas.wire import node_name
 
 _LEVELS = ("debug", "info", "warning", "error")
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from rpod_schemas.qos import Qos
+from rpod_schemas.rmw.qos import Qos
 from rpod_schemas.topics import Topic
 
 _NODE, _QOS = 8, -1

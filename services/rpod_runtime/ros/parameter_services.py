@@ -11,9 +11,9 @@ import numpy as np
 
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.ros.parameters import Parameters
-from rpod_schemas import service_types as types
-from rpod_schemas.cdr import message_class
 from rpod_schemas.messages.ros import parameter_type, read_parameter_value, write_parameter_value
+from rpod_schemas.rmw import service_types as types
+from rpod_schemas.rmw.cdr import message_class
 
 
 @dataclass(frozen=True)

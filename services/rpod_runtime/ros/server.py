@@ -13,10 +13,10 @@ from typing import Any
 import zenoh
 
 from rpod_runtime.requests.replies import error_reply
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.rmw.cdr import decode, encode
+from rpod_schemas.rmw.wire import Attachment, unpack_attachment
 from rpod_schemas.topics import Namespace, Service
-from rpod_schemas.wire import Attachment, unpack_attachment
 
 log = logging.getLogger(__name__)
 

@@ -90,7 +90,7 @@ def injection(name: str, kind: str, seed: int, *, size: float | None = None) -> 
         SchemaError: there is no fault of this name, or the kind cannot have it.
     """
     fault = known_fault(name)
-    if kind in ("pmd", "lidar") and kind not in fault.kinds:
+    if not fault.can_be_in(kind):
         raise SchemaError(f"a sensor of kind {kind!r} cannot have the fault {name!r}")
     for module in _MODULES:
         found: dict[str, type[Injection]] = resolve(f"rpod_sim_sensor.faults.{module}:INJECTIONS")

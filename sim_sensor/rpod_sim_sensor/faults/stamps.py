@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from rpod_schemas.messages import read_pmd_info, read_points
+from rpod_schemas.messages import read_info, read_points
 from rpod_sim_sensor.faults.content import with_points
 from rpod_sim_sensor.faults.injection import Injection, Outgoing, stamped
 
@@ -157,12 +157,7 @@ class StampStart(Injection):
     def announcement(self, outgoing: Outgoing) -> list[Outgoing]:
         """Learn the duration."""
         if outgoing.part == "info":
-            lidar = self.kind == "lidar"
-            self._duration_s = (
-                float(outgoing.message.scan_time_s)
-                if lidar
-                else read_pmd_info(outgoing.message).integration_time_s
-            )
+            self._duration_s = read_info(outgoing.message).duration_s
         return [outgoing]
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002

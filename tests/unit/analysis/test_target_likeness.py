@@ -8,11 +8,11 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.target_check.likeness import judged_symmetries
+from rpod_analysis.target_check.likeness import checked_symmetries
 from rpod_analysis.target_check.trials import error_of
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
-from rpod_target.drafting import DraftOptions, draft
+from rpod_target.drafting.draft import DraftOptions, draft
 from rpod_target.symmetry import FoundSymmetry
 
 
@@ -25,7 +25,7 @@ def drafted(mesh: trimesh.Trimesh, folder: Path, cache: Path) -> Target:
     mesh.export(folder / "body.stl")
     options = DraftOptions(units="m", mass_kg=10.0)
     return draft(
-        folder / "body.stl", folder / "body.yaml", options, cache=cache, symmetries=judged_symmetries
+        folder / "body.stl", folder / "body.yaml", options, cache=cache, symmetries=checked_symmetries
     ).target
 
 
@@ -67,7 +67,7 @@ def test_a_small_box_on_the_side_shows_the_angle_close_by_only(tmp_path: Path, c
     box.apply_translation([0.53, 0.0, 0.4])
     target = drafted(trimesh.util.concatenate([tank(48), nozzle(), box]), tmp_path, cache)
     assert not len(target.equivalence.free_axes)
-    (around,) = (one for one in judged_symmetries(target) if one.continuous)
+    (around,) = (one for one in checked_symmetries(target) if one.continuous)
     assert around.mistaken
     assert not around.exact
     assert at(around, "lidar", "30 returns").alike > at(around, "pmd", "80% filled").alike == 0
@@ -83,7 +83,7 @@ def test_a_turn_that_every_sensor_tells_apart_is_shown_and_not_written(tmp_path:
     wing = trimesh.creation.box((0.05, 0.6, 0.9))
     wing.apply_translation([0.0, 0.8, 0.3])
     target = drafted(trimesh.util.concatenate([trimesh.creation.box((1.0, 1.0, 2.0)), wing]), tmp_path, cache)
-    found = judged_symmetries(target)
+    found = checked_symmetries(target)
     assert any(not one.mistaken for one in found)
     assert all(one.likeness for one in found)
     assert not any(one.continuous for one in target.symmetries)
@@ -106,7 +106,7 @@ def test_a_camera_tells_what_only_brightness_distinguishes(tmp_path: Path, cache
         "distance_field": {"spacing_m": 0.05, "margin_m": 0.3},
     }
     (tmp_path / "halves.yaml").write_text(yaml.safe_dump(document))
-    found = judged_symmetries(load_target(tmp_path / "halves.yaml", cache=cache))
+    found = checked_symmetries(load_target(tmp_path / "halves.yaml", cache=cache))
     (turn,) = (one for one in found if abs(one.axis[2]) > 0.99)
     assert not turn.exact
     lidar = [each for each in turn.likeness if each.sensor == "lidar"]

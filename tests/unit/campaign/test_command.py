@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 from rpod.__main__ import app
 from rpod.campaign.command import campaign_command
-from rpod_campaign.catalogue import BUILT_IN, find, names, options_of
+from rpod_campaign.catalogue import BUILT_IN, RENAMED, find, names, options_of
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_an_unknown_campaign_is_answered_with_those_that_there_are(tmp_path, cap
     assert campaign_command("lidar-magic", options={}, jobs=1, out=tmp_path, as_json=True) == 2
     said = capsys.readouterr().err
     assert said.startswith("rpod campaign: campaign 'lidar-magic' is unknown; known are lidar-acquisition, ")
-    assert "pmd-verdict" in said
+    assert "pmd-acceptance" in said
 
 
 def test_a_misspelt_campaign_is_answered_with_the_nearest_name():
@@ -58,6 +58,13 @@ def test_the_help_lists_every_campaign_with_its_title():
     told = CliRunner().invoke(app, ["campaign", "--help"], env={"COLUMNS": "100"}).output
     for name in names():
         assert re.search(rf"^  {name} +{re.escape(find(name).title)}\.$", told, re.MULTILINE), (name, told)
+
+
+def test_a_campaign_that_was_renamed_is_found_by_its_old_name_and_says_so_in_one_line():
+    for old, new in RENAMED.items():
+        told = CliRunner().invoke(app, ["campaign", old, "--help"])
+        assert told.stderr == f"{old} is called {new} now\n"
+        assert f"{find(new).title}." in told.stdout
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -13,7 +13,7 @@ from rpod_campaign.integrity.report import poisson_interval, share_bound, summar
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Source
 

@@ -13,13 +13,13 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config
 from rpod_campaign.lidar.scene import clearance_m, emulator_of, random_attitude, random_pose, scan_of
+from rpod_campaign.lidar_acceptance import trial as acceptance
+from rpod_campaign.lidar_acceptance.report import roc
+from rpod_campaign.lidar_acceptance.trial import AcceptanceCell
 from rpod_campaign.lidar_acquisition import trial as acquisition
 from rpod_campaign.lidar_range.trial import window_deg
 from rpod_campaign.lidar_tracking import trial as tracking
 from rpod_campaign.lidar_trajectory import trial as trajectory
-from rpod_campaign.lidar_verdict import trial as judged
-from rpod_campaign.lidar_verdict.report import roc
-from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_campaign.papers import paper_2015 as paper
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
@@ -175,7 +175,7 @@ OTHERS = {
     "lidar-tracking": {"ranges": (50.0,), "matcher": ("projective",)},
     "lidar-robustness": {"ranges": (50.0,), "method": ("global",)},
     "lidar-range": {"ranges": (80.0,), "method": (paper.TM,), "steps": (60.0,), "scan_steps": (1.0,)},
-    "lidar-verdict": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,), "target": (TARGET,)},
+    "lidar-acceptance": {"ranges": (50.0,), "method": (paper.TM,), "steps": (60.0,), "target": (TARGET,)},
 }
 
 
@@ -193,11 +193,11 @@ def test_a_row_of_every_campaign_has_the_columns_of_its_schema_and_a_place_in_it
     _check_sections(campaign.sections(results))
 
 
-def test_the_verdict_is_on_wrong_poses_wherever_something_else_was_scanned():
-    slim = VerdictCell(
+def test_what_is_accepted_is_wrong_wherever_something_else_was_scanned():
+    slim = AcceptanceCell(
         target=TARGET, scanned_target="envisat-slim", method=paper.TM, step_deg=60.0, range_m=50.0
     )
-    row = judged.run(slim, 7, 0)
+    row = acceptance.run(slim, 7, 0)
     assert row["wrong"]
     assert 40.0 < row["scanned_range_m"] < 50.0  # the smaller one stands nearer
 
@@ -245,11 +245,11 @@ def test_a_pose_that_an_exact_symmetry_turns_into_the_truth_is_right():
         assert errors(truth, turned, target) == pytest.approx((expected_deg, 0.0), abs=1e-6)
 
 
-def test_a_pose_of_template_matching_is_judged_by_the_facilitys_own_verdict():
-    cell = VerdictCell(target=TARGET, scanned_target=TARGET, method=paper.TM, step_deg=60.0, range_m=50.0)
-    rows = [judged.run(cell, 7, trial) for trial in range(6)]
+def test_a_pose_of_template_matching_is_checked_by_the_facility():
+    cell = AcceptanceCell(target=TARGET, scanned_target=TARGET, method=paper.TM, step_deg=60.0, range_m=50.0)
+    rows = [acceptance.run(cell, 7, trial) for trial in range(6)]
     for row in rows:
-        assert set(row) == set(judged.SCHEMA)
+        assert set(row) == set(acceptance.SCHEMA)
         assert row["accepted"] == (not row["wrong"])
         assert (row["deficit_per_return"] > 0.5) == row["wrong"]
     assert 0 < sum(row["wrong"] for row in rows) < 6

@@ -21,12 +21,12 @@ from rpod_campaign.pmd.report.summary import AXES, summarise
 from rpod_campaign.pmd.scene import Stage, off, scenario_of, times_s
 from rpod_campaign.pmd.sequence import SequenceCell
 from rpod_campaign.pmd.world import World, built, disturbed, glints
+from rpod_campaign.pmd_acceptance import trial as acceptance
+from rpod_campaign.pmd_acceptance.campaign import CASES as SHOWN
 from rpod_campaign.pmd_acquisition import trial as acquisition
 from rpod_campaign.pmd_acquisition.campaign import CASES as VIEWS
 from rpod_campaign.pmd_robustness.trial import CASES
 from rpod_campaign.pmd_tracking.pictures import picture
-from rpod_campaign.pmd_verdict import trial as verdict
-from rpod_campaign.pmd_verdict.campaign import CASES as SHOWN
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import pose_error
 
@@ -34,7 +34,7 @@ pmd_acquisition = find_campaign("pmd-acquisition")
 pmd_robustness = find_campaign("pmd-robustness")
 pmd_sun = find_campaign("pmd-sun")
 pmd_tracking = find_campaign("pmd-tracking")
-pmd_verdict = find_campaign("pmd-verdict")
+pmd_acceptance = find_campaign("pmd-acceptance")
 SCENARIOS = {name: find(name) for name in shipped()}
 TARGET = "mockup"
 
@@ -355,27 +355,27 @@ def test_pictures_show_depth_and_amplitude_under_the_wireframe(followed):
     assert np.isfinite(np.asarray(line.x, float)).sum() > 20
 
 
-def test_a_verdict_campaign_counts_right_frames_and_frames_of_something_else():
-    chosen = cells(pmd_verdict, case=("right", "upside-down", "size-1.1"))
+def test_an_acceptance_campaign_counts_right_frames_and_frames_of_something_else():
+    chosen = cells(pmd_acceptance, case=("right", "upside-down", "size-1.1"))
     assert [cell.spoiled for cell in chosen] == [False, True, True]
     results = []
     for cell in chosen:
-        rows = pl.DataFrame([verdict.run(cell, 3, 0)], schema_overrides=verdict.SCHEMA)
-        results.append(CellResult(cell, rows, pmd_verdict.summarise(cell, rows)))
+        rows = pl.DataFrame([acceptance.run(cell, 3, 0)], schema_overrides=acceptance.SCHEMA)
+        results.append(CellResult(cell, rows, pmd_acceptance.summarise(cell, rows)))
     right, _, larger = (result.summary for result in results)
     assert (right["acquisition_accepted"], right["tracker_accepted"]) == (1, 1)
     assert (right["acquisition_right"], right["tracker_right"]) == (1, 1)
     assert (larger["acquisition_accepted"], larger["tracker_accepted"]) == (0, 0)
     assert results[0].rows["tracker_alike"].to_list() == [True]
-    titles = [section.title for section in pmd_verdict.sections(results)]
+    titles = [section.title for section in pmd_acceptance.sections(results)]
     assert titles == ["Right frames", "Frames of something else"]
 
 
 def test_the_cases_of_the_command_line_are_those_of_the_trials():
-    for campaign, known in ((pmd_robustness, CASES), (pmd_acquisition, VIEWS), (pmd_verdict, SHOWN)):
+    for campaign, known in ((pmd_robustness, CASES), (pmd_acquisition, VIEWS), (pmd_acceptance, SHOWN)):
         assert campaign.options().case == tuple(known)
     with pytest.raises(ValidationError, match="sideways"):
-        cells(pmd_verdict, case=("sideways",))
+        cells(pmd_acceptance, case=("sideways",))
 
 
 @pytest.mark.parametrize("method", ["icp-reverse-calibration", "signed-distance"])

@@ -154,7 +154,7 @@ def test_the_ranges_of_an_acquisition_are_chosen_or_follow_from_the_image(brick)
 def test_a_coat_that_a_target_lacks_is_left_out(brick):
     coats = {cell.case for cell in cells("pmd-sun", target=(brick,))}
     assert coats == {"as-built"}
-    cases = {cell.case for cell in cells("pmd-verdict", target=(brick,))}
+    cases = {cell.case for cell in cells("pmd-acceptance", target=(brick,))}
     assert "right" in cases
     assert not any(case.startswith("all-") for case in cases)
 
@@ -174,7 +174,7 @@ def test_every_lidar_campaign_has_cells_for_a_target_of_a_file(name, brick):
 
 
 @pytest.mark.parametrize(
-    "name", ["pmd-tracking", "pmd-sun", "pmd-robustness", "pmd-acquisition", "pmd-verdict"]
+    "name", ["pmd-tracking", "pmd-sun", "pmd-robustness", "pmd-acquisition", "pmd-acceptance"]
 )
 def test_every_camera_campaign_has_cells_for_a_target_of_a_file(name, brick):
     found = cells(name, target=(brick,))

@@ -9,9 +9,9 @@ from pydantic import ValidationError
 from rpod.scenarios import find, shipped
 from rpod_campaign.catalogue import BUILT_IN
 from rpod_campaign.catalogue import find as find_campaign
+from rpod_campaign.lidar_acceptance import trial as lidar_acceptance
+from rpod_campaign.lidar_acceptance.trial import AcceptanceCell
 from rpod_campaign.lidar_acquisition import trial as lidar
-from rpod_campaign.lidar_verdict import trial as lidar_verdict
-from rpod_campaign.lidar_verdict.trial import VerdictCell
 from rpod_campaign.pmd.scene import Stage, scenario_of
 from rpod_campaign.pmd.world import World
 
@@ -51,8 +51,8 @@ def test_a_scan_of_another_world_is_another_and_the_method_is_the_same():
 def test_a_small_body_is_not_taken_for_the_nearest_face_of_a_large_one(range_m):
     """Were the sensor's power anybody's guess, all that lies behind that face could be too dim to be seen."""
     names = {"target": "envisat-slim", "scanned_target": "hexagonal-body", "method": "global"}
-    cell = VerdictCell(**names, step_deg=None, range_m=range_m)
-    assert not any(lidar_verdict.run(cell, 71, trial)["accepted"] for trial in range(12))
+    cell = AcceptanceCell(**names, step_deg=None, range_m=range_m)
+    assert not any(lidar_acceptance.run(cell, 71, trial)["accepted"] for trial in range(12))
 
 
 def test_a_frame_of_another_world_is_another_and_the_pose_is_the_same():

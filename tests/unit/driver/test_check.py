@@ -21,7 +21,7 @@ from checked_sensors import (
 )
 from scipy.spatial.transform import Rotation
 
-from rpod_driver.check import Level, Observer, Options, Verdict, judge
+from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.geometry import Fitted
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
@@ -35,17 +35,17 @@ OF_CAMERA = [fault.name for fault in FAULTS if "pmd" in fault.kinds and fault.na
 OF_SCANNER = [fault.name for fault in FAULTS if "lidar" in fault.kinds and fault.needs != "truth"]
 
 
-def at(verdicts: list[Verdict], line: str) -> Verdict:
-    (verdict,) = (each for each in verdicts if each.line == line)
-    return verdict
+def at(results: list[CheckResult], line: str) -> CheckResult:
+    (result,) = (each for each in results if each.line == line)
+    return result
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fault", OF_CAMERA)
 def test_a_camera_with_a_fault_is_named_by_its_line_with_the_remedy(fault, seed):
-    verdicts = wall_camera(fault, seed=seed)
-    assert fault in failed(verdicts)
-    named = at(verdicts, BY_NAME[fault].line)
+    results = wall_camera(fault, seed=seed)
+    assert fault in failed(results)
+    named = at(results, BY_NAME[fault].line)
     assert named.level is Level.FAIL
     assert BY_NAME[fault].remedy in named.remedy
 
@@ -53,9 +53,9 @@ def test_a_camera_with_a_fault_is_named_by_its_line_with_the_remedy(fault, seed)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fault", [*OF_SCANNER, "stamp_start", "mirrored"])
 def test_a_scanner_with_a_fault_is_named_by_its_line(fault, seed):
-    verdicts = room_scanner(fault, seed=seed)
-    assert fault in failed(verdicts)
-    assert fault in at(verdicts, BY_NAME[fault].line).faults
+    results = room_scanner(fault, seed=seed)
+    assert fault in failed(results)
+    assert fault in at(results, BY_NAME[fault].line).faults
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -91,9 +91,9 @@ def test_the_mount_of_the_second_sensor_counts_as_well():
 
 def test_an_estimate_that_uses_the_sensor_itself_does_not_judge_its_mount():
     estimates = [*estimates_of("lidar", rate_hz=5.0, seed=0), *estimates_of("front", rate_hz=1.0, seed=1)]
-    verdict = at(ideal_camera("mount_off", estimates=estimates), "mount_second")
-    assert verdict.level is Level.UNCHECKED
-    assert "uses 'front' itself" in verdict.text
+    result = at(ideal_camera("mount_off", estimates=estimates), "mount_second")
+    assert result.level is Level.UNCHECKED
+    assert "uses 'front' itself" in result.text
 
 
 def test_every_fault_of_a_sensors_messages_is_seen_by_one_of_these_tests():
@@ -107,16 +107,16 @@ def test_every_fault_of_a_sensors_messages_is_seen_by_one_of_these_tests():
     ids=["camera", "scanner", "ideal camera", "facility's camera", "facility's scanner"],
 )  # fmt: skip
 def test_nothing_is_wrong_with_a_good_sensor(sensor, seed):
-    verdicts = sensor(seed=seed)
-    assert [(each.line, each.text) for each in verdicts if each.level is Level.FAIL] == []
-    assert sum(each.level is Level.OK for each in verdicts) >= 16
+    results = sensor(seed=seed)
+    assert [(each.line, each.text) for each in results if each.level is Level.FAIL] == []
+    assert sum(each.level is Level.OK for each in results) >= 16
 
 
 def test_what_cannot_be_seen_is_not_called_in_order():
-    verdicts = wall_camera()
+    results = wall_camera()
     for line in ("instant", "grid", "range", "mount_truth", "mount_second"):
-        assert at(verdicts, line).level is Level.UNCHECKED
-        assert "--target" in at(verdicts, line).text
+        assert at(results, line).level is Level.UNCHECKED
+        assert "--target" in at(results, line).text
     blind = judge(watched("pmd", wall_frames(0, 1.0), INFO, latency_s=0.01))
     assert "--rate" in at(blind, "rate").text
     assert at(blind, "drift").level is Level.UNCHECKED
@@ -130,9 +130,9 @@ def test_a_camera_that_sees_no_plane_is_not_told_to_have_z_depth():
             depth_m = random.uniform(1.0, 4.0, frame.depth_m.shape).astype(np.float32)
             yield frame.model_copy(update={"depth_m": depth_m})
 
-    verdict = at(judge(watched("pmd", clouds(), INFO, latency_s=0.01)), "depth_model")
-    assert verdict.level is Level.UNCHECKED
-    assert "show it a wall" in verdict.text
+    result = at(judge(watched("pmd", clouds(), INFO, latency_s=0.01)), "depth_model")
+    assert result.level is Level.UNCHECKED
+    assert "show it a wall" in result.text
 
 
 def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
@@ -148,10 +148,10 @@ def test_values_that_no_calibration_can_have_are_not_judged():
 
 
 def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
-    verdicts = judge(watched("pmd", (), None, latency_s=0.0, options=Options(rate_hz=10.0)))
-    assert [each.line for each in verdicts if each.level is Level.FAIL] == ["publisher"]
-    assert not [each.line for each in verdicts if each.level is Level.OK]
-    assert "no sensor is on this bus" in at(verdicts, "publisher").text
+    results = judge(watched("pmd", (), None, latency_s=0.0, options=Options(rate_hz=10.0)))
+    assert [each.line for each in results if each.level is Level.FAIL] == ["publisher"]
+    assert not [each.line for each in results if each.level is Level.OK]
+    assert "no sensor is on this bus" in at(results, "publisher").text
 
 
 def test_where_no_frame_comes_the_publishers_that_are_there_are_named():
@@ -164,9 +164,9 @@ def test_where_no_frame_comes_the_publishers_that_are_there_are_named():
     assert "has a publisher, which sends nothing" in at(judge(observer.end(EPOCH_NS)), "publisher").text
 
 
-def test_a_verdict_becomes_json():
-    verdicts = [each.model_dump(mode="json") for each in wall_camera(duration_s=3.0)]
-    assert json.loads(json.dumps(verdicts, allow_nan=False)) == verdicts
+def test_a_result_becomes_json():
+    results = [each.model_dump(mode="json") for each in wall_camera(duration_s=3.0)]
+    assert json.loads(json.dumps(results, allow_nan=False)) == results
 
 
 def test_the_catalogue_names_lines_of_the_check():
@@ -195,9 +195,9 @@ def test_recorded_frames_of_a_stereo_camera_are_in_order():
         for number, image in enumerate(images)
     ]
     for name in ("", "radial_depth", "millimetres"):
-        verdicts = judge(watched("pmd", frames, None, latency_s=0.02, faults=(name,) if name else ()))
+        results = judge(watched("pmd", frames, None, latency_s=0.02, faults=(name,) if name else ()))
         if name != "radial_depth":
-            assert failed(verdicts) == ({name} if name else set()), verdicts
+            assert failed(results) == ({name} if name else set()), results
     assert at(judge(watched("pmd", frames, None, latency_s=0.02)), "jitter").level is Level.UNCHECKED
 
 

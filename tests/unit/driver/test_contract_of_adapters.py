@@ -26,8 +26,8 @@ from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.driver import open_driver as open_replay
 from rpod_driver.check import Options
 from rpod_driver.contract import DriverContract
-from rpod_schemas.cdr import encode, typestore
 from rpod_schemas.messages import write_camera, write_image, write_pmd_info
+from rpod_schemas.rmw.cdr import encode, typestore
 
 TESTS = Path(__file__).parents[2]
 OUSTER = TESTS / "recordings" / "ouster" / "os1-32.frames"

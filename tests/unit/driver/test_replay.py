@@ -13,8 +13,8 @@ from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.driver import open_driver
 from rpod_driver.errors import RecordingError
 from rpod_geometry.lens import ray_cosines
-from rpod_schemas.cdr import encode, typestore
 from rpod_schemas.messages import write_camera, write_image, write_lidar_info, write_pmd_info, write_points
+from rpod_schemas.rmw.cdr import encode, typestore
 from rpod_schemas.types import Camera, LidarInfo, PmdInfo
 
 CAMERA = Camera(width=8, height=6, fx=6.0, fy=6.0, cx=3.5, cy=2.5)

@@ -10,17 +10,17 @@ from rpod_emulator.daemon import Emulator
 from rpod_runtime import Received
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import FaultRequest, StartRequest
 from rpod_schemas.messages import write_clock, write_odometry, write_vector_stamped
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.schedule import frame_at
 from rpod_schemas.topics import CLOCK, SUN, TRUTH
 from rpod_schemas.types import Health, Odometry
-from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
 STEP_NS = 4_000_000

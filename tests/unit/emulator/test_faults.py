@@ -12,7 +12,6 @@ from rpod_emulator.faults import Faults, FaultyNode, turned
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.sensors import CameraPublisher
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
@@ -23,6 +22,7 @@ from rpod_schemas.faults import FAULTS, PlannedFault
 from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_image, read_stamp, read_transforms
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import FAULTS as FAULTS_TOPIC
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.faults import injection

@@ -7,13 +7,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_emulator.errors import TruthGapError
 from rpod_emulator.truth_buffer import TruthBuffer
 from rpod_runtime import Received
-from rpod_schemas.cdr import encode
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import write_odometry
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Odometry
-from rpod_schemas.wire import Attachment
 
 START_NS = 1_767_225_600_000_000_000
 STEP_NS = 4_000_000

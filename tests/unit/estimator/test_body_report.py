@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from rpod_analysis.log.accounting import Account
-from rpod_estimator.body_input import BodyReport
+from rpod_estimator.inputs.bodies import BodyReport
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_pose.surroundings.body_check import FRAMES, BodyState, Sighting
 from rpod_runtime.health import HealthBook

@@ -4,8 +4,8 @@ import logging
 
 import pytest
 
-from rpod_estimator.input_book import Loss, SensorBook, unpaired
-from rpod_estimator.input_health import InputHealth
+from rpod_estimator.inputs.book import Loss, SensorBook, unpaired
+from rpod_estimator.inputs.health import InputHealth
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.stamp_watch import clock_hint

@@ -8,13 +8,13 @@ import pytest
 
 from rpod_estimator.frame_reader import FrameReader
 from rpod_runtime import Received
-from rpod_schemas.cdr import encode, message_class
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.messages import write_camera, write_header, write_image
+from rpod_schemas.rmw.cdr import encode, message_class
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import Topic
 from rpod_schemas.types import Camera
-from rpod_schemas.wire import Attachment
 
 FOLDER = Path(__file__).parents[3] / "deploy" / "sensors"
 STAMP_NS = 1_700_000_000_250_000_000

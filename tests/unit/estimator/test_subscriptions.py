@@ -6,14 +6,13 @@ from time import monotonic
 import numpy as np
 import pytest
 
-from rpod_estimator.subscriptions import Subscriptions
+from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.stamp_watch import StampWatch
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import ConfigurationError
@@ -28,6 +27,8 @@ from rpod_schemas.messages import (
     write_transforms,
 )
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
@@ -48,7 +49,6 @@ from rpod_schemas.types import (
     PmdInfo,
     SensorSync,
 )
-from rpod_schemas.wire import Attachment
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_000 * SECOND_NS

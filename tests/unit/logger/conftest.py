@@ -9,11 +9,11 @@ import pytest
 from logger_desk import Desk
 
 from rpod_runtime import Received
-from rpod_schemas.cdr import encode
 from rpod_schemas.messages import write_clock, write_transforms
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import UNNUMBERED, Attachment
 from rpod_schemas.topics import CLOCK, TF_STATIC, Namespace, Topic
-from rpod_schemas.wire import UNNUMBERED, Attachment
 
 KEYS = Namespace()
 ARRIVAL_NS = 1_700_000_000_000_000_000

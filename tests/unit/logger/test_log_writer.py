@@ -14,7 +14,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from rpod_logger import writer
 from rpod_logger.writer import WriterSettings, channel_topic, create_log
-from rpod_schemas.cdr import type_hash
+from rpod_schemas.rmw.cdr import type_hash
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ROSOUT, TF_STATIC, Namespace, Topic
 
 SETTINGS = WriterSettings(Namespace(), "rpod test")

@@ -8,12 +8,12 @@ from rpod_logger.publisher_ends import GRACE_S, RETURN_S, PublisherEnds
 from rpod_runtime import Received
 from rpod_runtime.bus.link import Link
 from rpod_runtime.health import HealthBook
-from rpod_schemas.cdr import encode
 from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import write_diagnostics
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, Topic
 from rpod_schemas.types import Diagnostic, Health
-from rpod_schemas.wire import Attachment
 
 NS = 10**9
 OTHER = Topic("lab/other", "std_msgs/msg/String")

@@ -368,6 +368,6 @@ def test_a_log_and_its_successor_have_digest_chains_that_fit_them(desk, arrive):
     one.put(arrive(CLOCK, 2))
     one.recorder.stop()
     for log in (first, second):
-        verdict = verify(Path(log.path))
-        assert (verdict.problems, verdict.closed) == ([], True)
-        assert verdict.verified_bytes == Path(log.path).stat().st_size
+        result = verify(Path(log.path))
+        assert (result.problems, result.closed) == ([], True)
+        assert result.verified_bytes == Path(log.path).stat().st_size

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rpod_motion.relative_orbit import (
+from rpod_motion.trajectories.relative_orbit import (
     EARTH_J2,
     EARTH_MU_M3_S2,
     EARTH_RADIUS_M,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rpod_motion import safety_ellipse_positions
-from rpod_motion.station_keeping import StationKeeping
+from rpod_motion.trajectories.station_keeping import StationKeeping
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import FixedAttitudeConfig, SpinConfig
 

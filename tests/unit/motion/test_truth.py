@@ -8,10 +8,10 @@ import pytest
 from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.config.motion import BodyMotionConfig, MotionConfig, TruthErrorConfig
 from rpod_schemas.messages import read_odometry, read_transforms
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import BODY, REFERENCE, SUN, TF, TRUTH
 
 EPOCH_NS = 1_767_225_600_000_000_000

@@ -14,15 +14,15 @@ from rpod_pose.navigation.navigator import Navigator
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import LidarReader
-from rpod_schemas.cdr import encode
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.messages import write_points
 from rpod_schemas.poses import make_pose, pose_error
+from rpod_schemas.rmw.cdr import encode
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import POINTS
 from rpod_schemas.types import Mode, PmdFrame
-from rpod_schemas.wire import Attachment
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target

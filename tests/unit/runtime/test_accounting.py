@@ -11,7 +11,7 @@ from rpod_runtime.delivery.accounting import (
     SequenceAccount,
     TooManyKeysError,
 )
-from rpod_schemas.wire import GID_BYTES, Attachment
+from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 
 A, B = b"a" * 16, b"b" * 16
 

@@ -1,4 +1,4 @@
-"""Rate and age of what arrives, and the pace of a thinned stream."""
+"""Rate and age of what arrives, and the pace of a stream of reduced rate."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,10 @@ import pytest
 from rpod_runtime.delivery.flow import Flow
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.codecs import decompressed
-from rpod_runtime.sensor_data.thinning import Pace, ThinnedCamera
-from rpod_schemas.cdr import decode, encode
-from rpod_schemas.config.thinned import ThinnedConfig
+from rpod_runtime.sensor_data.reduced_rate import Pace, ReducedRateCamera
+from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.messages import read_camera, read_image, read_stamp
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.types import Camera, PmdFrame
 
 SECOND_NS = 1_000_000_000
@@ -68,9 +68,9 @@ def frames(count):
 @pytest.mark.parametrize("codec", ["shuffle zstd", "none"])
 def test_only_whole_frames_are_sent_within_the_bandwidth_and_to_the_bit(codec):
     node, given = Kept(), list(frames(150))
-    thinned = ThinnedCamera(node, "pmd", ThinnedConfig(mbit_s=0.6, codec=codec))
+    reduced = ReducedRateCamera(node, "pmd", ReducedRateConfig(mbit_s=0.6, codec=codec))
     for frame in given:
-        thinned.publish(frame)
+        reduced.publish(frame)
     form = "image_raw" if codec == "none" else "compressed"
     camera, depth, amplitude = (
         node.sent[f"slow/pmd/{part}"] for part in ("camera_info", f"depth/{form}", f"amplitude/{form}")

@@ -3,9 +3,9 @@ import time
 from rpod_runtime.delivery.inbox import Inbox, Received
 from rpod_runtime.health import MOST_NAMES, HealthBook
 from rpod_schemas.errors import Reason
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Health
-from rpod_schemas.wire import Attachment
 
 
 def received(number):

@@ -8,14 +8,14 @@ from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, saturated_pixels
 from rpod_runtime.sensor_data.codecs import decompressed
-from rpod_schemas.cdr import encode, message_class
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_camera, write_header, write_image, write_points
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import encode, message_class
+from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, POINTS, Topic
 from rpod_schemas.types import Camera
-from rpod_schemas.wire import Attachment
 
 CAMERA = Camera(width=60, height=40, fx=50.0, fy=51.0, cx=29.5, cy=19.5)
 FORWARD = make_pose(translation_m=[0.5, 0.0, 0.2])

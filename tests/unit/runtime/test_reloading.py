@@ -9,7 +9,7 @@ from rpod_runtime.process.reloading import Reloader, describe
 from rpod_schemas.config.base import live_fields
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.errors import ConfigurationError
 

@@ -12,10 +12,10 @@ from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas import messages
 from rpod_schemas.bounds import BOUNDS, MODULATION_FREQUENCY_HZ, SCAN_DIRECTIONS, Bound
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.control import ResetRequest, StartRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import Camera, EstimatorStatus, LidarInfo, Mode, Odometry, PmdInfo
 

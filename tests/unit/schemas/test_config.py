@@ -5,7 +5,7 @@ import pytest
 from pydantic import Field
 
 from rpod_schemas.config.base import Config, Positive, check, load, read_document
-from rpod_schemas.config.logger import LoggerConfig
+from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import Pose
 

@@ -5,7 +5,7 @@ import re
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from rpod_schemas.cdr import definition, typestore
+from rpod_schemas.rmw.cdr import definition, typestore
 from rpod_schemas.topics import STATUS, TOPICS
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rosbags.interfaces import Nodetype
 
-from rpod_schemas.cdr import typestore
+from rpod_schemas.rmw.cdr import typestore
 from rpod_schemas.topics import (
     CAMERA_INFO,
     CHASER,

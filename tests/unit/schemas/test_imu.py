@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import read_imu, write_imu
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import CHASER, IMU
 from rpod_schemas.types import ImuReading
 

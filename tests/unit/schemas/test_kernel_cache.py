@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[3]
 ROOMS = [ROOT / name for name in ("schemas", "services", "sim_sensor")]
 
 INIT = """
-from rpod_schemas.kernel_cache import watch_callees
+from rpod_schemas.caches.kernels import watch_callees
 
 watch_callees()
 """
@@ -170,7 +170,7 @@ def test_every_package_with_kernels_has_its_cache_watched():
     for path in with_kernels:
         text = (path / "__init__.py").read_text("utf-8")
         assert "watch_callees()" in text, (
-            f"{path.name}/__init__.py: call rpod_schemas.kernel_cache.watch_callees"
+            f"{path.name}/__init__.py: call rpod_schemas.caches.kernels.watch_callees"
         )
 
 

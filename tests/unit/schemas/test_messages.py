@@ -8,9 +8,9 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas import messages
-from rpod_schemas.cdr import decode, encode, peek_stamp
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import decode, encode, peek_stamp
 from rpod_schemas.types import (
     Camera,
     Diagnostic,

@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
+from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.migration import CONFIG_VERSION, RENAMED, VERSION_FIELD, check_logged, logged
+from rpod_schemas.config.migration import CONFIG_VERSION, VERSION_FIELD, check_logged, logged, renamed_since
 from rpod_schemas.errors import ConfigurationError
 
 OF_AN_EARLIER_VERSION = {
@@ -29,7 +31,12 @@ def of_version_1() -> dict[str, Any]:
 def of_version_2() -> dict[str, Any]:
     """The same configuration as version 2 logged it: with tuning, renamed fields under their old names."""
     config = check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
-    old_names = {new: old for old, new in RENAMED.items()}
+    return {**with_old_names(config, 2), VERSION_FIELD: 2}
+
+
+def with_old_names(config: BaseModel, version: int) -> dict[str, Any]:
+    """A configuration as it is logged, its fields under the names that they had in a version."""
+    old_names = {new: old for old, new in renamed_since(version).items()}
 
     def older(value: Any) -> Any:
         if isinstance(value, dict):
@@ -37,7 +44,7 @@ def of_version_2() -> dict[str, Any]:
         return [older(item) for item in value] if isinstance(value, list) else value
 
     document: dict[str, Any] = older(logged(config))
-    return {**document, VERSION_FIELD: 2}
+    return document
 
 
 def leaves(document: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
@@ -55,7 +62,7 @@ def leaves(document: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], 
 
 
 def renamed(place: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(RENAMED.get(name, name) for name in place)
+    return tuple(renamed_since(1).get(name, name) for name in place)
 
 
 def test_fields_that_are_gone_are_left_out_and_named_with_their_place() -> None:
@@ -104,7 +111,7 @@ def test_values_that_are_now_tuning_stay_what_the_log_says() -> None:
     assert (tracking["slack_m"], tracking["tuning"]["far_iterations"]) == (0.002, 11)
     assert tracking["tuning"]["depth"]["points"] == 777
     scans = found["sensors"][1]["acquisition"]["tracking"]["tuning"]
-    assert scans["verdict"]["pessimistic"]["clutter_share"] == 0.07
+    assert scans["acceptance"]["pessimistic"]["clutter_share"] == 0.07
     assert found["navigator"]["tuning"]["vague_deg"] == 4.5
     assert {"sensors.0.tracking.far_iterations", "navigator.vague_deg"} < set(migrated.tuned)
     assert "sensors.0.tracking.slack_m" not in migrated.tuned
@@ -124,7 +131,7 @@ def test_renamed_fields_of_version_1_keep_their_values_and_are_named() -> None:
     search, tracking = scanner["acquisition"]["tuning"], scanner["tracking"]["tuning"]
     assert [search[name] for name in ("coarse_points", "coarse_steps", "sufficient_returns")] == [99, 7, 71]
     assert (tracking["coarse_steps"], tracking["fine_steps"]) == (4, 2)
-    assert tracking["verdict"]["inconsistent_share"] == 0.05
+    assert tracking["acceptance"]["inconsistent_share"] == 0.05
     assert {
         "sensors.0.tracking.check.most_contrary_share -> most_inconsistent_share",
         "sensors.1.acquisition.draw_in_steps -> coarse_steps",
@@ -141,11 +148,39 @@ def test_a_log_of_version_2_is_read_with_its_values_and_the_renamed_fields_are_n
     migrated = check_logged(EstimatorConfig, document, source="run.mcap")
     migrated.report("run.mcap")
     assert (migrated.version, migrated.tuned, migrated.unknown) == (2, (), ())
-    assert {name.rpartition(".")[2].split(" -> ")[0] for name in migrated.renamed} == set(RENAMED)
+    names = {name.rpartition(".")[2].split(" -> ")[0] for name in migrated.renamed}
+    assert names == renamed_since(2).keys() - {"thinned"}  # which is a field of sensors and drivers
     assert migrated.config.model_dump()["sensors"][1]["tracking"]["tuning"]["fine_steps"] == 2
     (line,) = caplog.messages
     assert "is of version 2" in line
     assert "settle_steps -> fine_steps" in line
+
+
+def test_a_log_of_version_4_is_read_with_the_names_and_the_tuning_of_version_5(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    config = check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
+    document = {**with_old_names(config, 4), VERSION_FIELD: 4}
+    camera, scanner = document["sensors"]
+    camera["acquisition"]["attitudes"] = 2500
+    scanner["tracking"]["tuning"]["verdict"]["inconsistent_share"] = 0.05
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    migrated.report("run.mcap")
+    found = migrated.config.model_dump()["sensors"]
+    assert found[0]["acquisition"]["tuning"]["attitudes"] == 2500
+    assert found[1]["tracking"]["tuning"]["acceptance"]["inconsistent_share"] == 0.05
+    assert (migrated.tuned, migrated.unknown) == (("sensors.0.acquisition.attitudes",), ())
+    (line,) = caplog.messages
+    assert "now tuning: sensors.0.acquisition (attitudes)" in line
+    assert "verdict -> acceptance" in line
+
+
+def test_a_logged_camera_with_a_thinned_stream_has_it_under_its_present_name() -> None:
+    sensor = {"kind": "pmd", "name": "pmd", "thinned": {"mbit_s": 8}}
+    document = {"target": "mockup", "sensors": [sensor], VERSION_FIELD: 4}
+    migrated = check_logged(EmulatorConfig, document, source="run.mcap")
+    assert migrated.renamed == ("sensors.0.thinned -> reduced_rate",)
+    assert migrated.config.model_dump()["sensors"][0]["reduced_rate"]["mbit_s"] == 8
 
 
 def test_of_a_field_that_has_both_names_the_old_one_is_unknown() -> None:

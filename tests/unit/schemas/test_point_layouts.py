@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rpod_schemas.cdr import decode, encode, message_class
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_points, time_field, write_header
+from rpod_schemas.rmw.cdr import decode, encode, message_class
 
 STAMP_NS = 1_700_000_000_250_000_000
 SINCE_S = np.linspace(0.0, 0.09, 6)

@@ -3,12 +3,14 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from rpod_schemas import registry
+from rpod_schemas.config import pmd_methods as documented
 from rpod_schemas.config.base import check
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd import methods as parameters
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import METHODS, SENSORS, RegistryError, UnknownNameError, names, resolve
 from rpod_schemas.sensors import method, methods, sensor_kind, sensor_kinds
@@ -31,10 +33,15 @@ def entries(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("kind", sensor_kinds(), ids=lambda kind: kind.name)
 def test_everything_that_a_kind_refers_to_is_there(kind):
-    for reference in (kind.reader, kind.publisher, kind.emulator, kind.methods):
+    needed = (kind.reader, kind.publisher, kind.emulator, kind.methods)
+    for reference in (*needed, *filter(None, (kind.checks, kind.reduced_rate))):
         assert resolve(reference) is not None
     assert kind.emulated.model_fields["kind"].default == kind.heard.model_fields["kind"].default == kind.name
     assert {topic.name for topic in kind.topics} <= {topic.name for topic in TOPICS}
+
+
+def test_the_documented_path_of_a_methods_parameters_stays():
+    assert all(getattr(parameters, name) is getattr(documented, name) for name in documented.__all__)
 
 
 @pytest.mark.parametrize("name", names(METHODS))
@@ -86,7 +93,10 @@ def test_a_driver_is_of_a_known_kind():
 
 
 def test_an_acquisition_without_a_kind_is_the_default():
-    assert PmdInput.model_validate({"acquisition": {"attitudes": 100}}).acquisition.kind == "view_search"
+    assert (
+        PmdInput.model_validate({"acquisition": {"tuning": {"attitudes": 100}}}).acquisition.kind
+        == "view_search"
+    )
 
 
 def test_the_schema_of_an_estimator_describes_every_installed_kind_and_method():
@@ -98,7 +108,7 @@ def test_the_schema_of_an_estimator_describes_every_installed_kind_and_method():
 def test_an_entry_of_the_wrong_type_or_without_a_module_names_its_package(entries):
     entries(
         EntryPoint("broken", "no_such_module:KIND", SENSORS),
-        EntryPoint("odd", "rpod_schemas.config.pmd_joint:JointConfig", SENSORS),
+        EntryPoint("odd", "rpod_schemas.config.pmd.joint:JointConfig", SENSORS),
     )
     with pytest.raises(RegistryError, match=r"broken.*cannot be loaded"):
         sensor_kind("broken")

@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from rpod_schemas import qos
-from rpod_schemas.cdr import decode, encode, message_class, type_hash
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import write_header
 from rpod_schemas.messages.geometry import write_pose
@@ -24,9 +22,11 @@ from rpod_schemas.messages.ros import (
     write_parameter_value,
 )
 from rpod_schemas.poses import make_pose
-from rpod_schemas.qos import Qos
+from rpod_schemas.rmw import qos
+from rpod_schemas.rmw.cdr import decode, encode, message_class, type_hash
+from rpod_schemas.rmw.qos import Qos
+from rpod_schemas.rmw.wire import Attachment, GraphNode, topic_of_token, unpack_attachment
 from rpod_schemas.topics import PARAMETER_EVENTS, ROSOUT, SUN, TRUTH, Namespace, Service, type_of_wire
-from rpod_schemas.wire import Attachment, GraphNode, topic_of_token, unpack_attachment
 
 ORACLE = json.loads((Path(__file__).parent / "ros" / "oracle.json").read_text("utf-8"))
 RPOD_MSGS = Path(__file__).parents[3] / "schemas" / "rpod_msgs"

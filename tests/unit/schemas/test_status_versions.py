@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from rpod_schemas.cdr import decode, encode
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_status, write_status
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.types import BeliefLevel, EstimatorStatus, Hypothesis, Mode, Source
 
 TYPE = "rpod_msgs/msg/EstimatorStatus"

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from rpod_schemas.cdr import message_class, type_hash
+from rpod_schemas.rmw.cdr import message_class, type_hash
 from rpod_schemas.topics import (
     DEPTH,
     ESTIMATE_FRAME,

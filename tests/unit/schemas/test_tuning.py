@@ -12,14 +12,17 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from rpod_schemas.config.base import Config, check
+from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance_of
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 
-MOST_PUBLIC_FIELDS = 83
+MOST_PUBLIC_FIELDS = 82
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
+MOST_DECISIONS = 60
+"""For a user: the same, but what a calibration writes into one file counts as one field."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
 LIMITS = Path(__file__).parents[3] / "docs" / "limits"
@@ -131,6 +134,16 @@ def test_the_estimator_has_no_more_public_fields_than_decided(
     assert len(names) <= MOST_PUBLIC_FIELDS, "\n".join(names)
 
 
+def test_a_user_has_no_more_than_sixty_decisions() -> None:
+    """Intrinsics and errors of distances are measured: their fields are figures of one file each."""
+    measured = ("sensors.pmd.calibration.", "sensors.pmd.camera.")
+    decisions = {
+        next((file for file in measured if name.startswith(file)), name) for name in estimator_fields()
+    }
+    assert set(measured) < decisions
+    assert len(decisions) <= MOST_DECISIONS
+
+
 def test_every_public_field_has_a_sentence() -> None:
     mute = {
         name
@@ -221,6 +234,12 @@ def test_the_error_of_a_field_that_became_tuning_names_its_place(
     whole = {"target": "mockup", "sensors": [{"kind": "pmd"}], **document}
     with pytest.raises(ConfigurationError, match=re.escape(f"write it as {place}")):
         check(EstimatorConfig, whole, source="run.yaml")
+
+
+def test_the_error_of_a_field_that_was_renamed_has_its_present_name() -> None:
+    document = {"target": "mockup", "sensors": [{"kind": "pmd", "thinned": {"mbit_s": 8}}]}
+    with pytest.raises(ConfigurationError, match=r"sensors\.0\.thinned: is called reduced_rate now"):
+        check(EmulatorConfig, document, source="run.yaml")
 
 
 def test_the_error_of_a_field_that_nobody_knows_names_no_tuning() -> None:

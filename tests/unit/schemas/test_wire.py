@@ -3,8 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.rmw.wire import Attachment, GraphNode, unpack_attachment
 from rpod_schemas.topics import SUN, TRUTH, Namespace
-from rpod_schemas.wire import Attachment, GraphNode, unpack_attachment
 
 INT64 = st.integers(1, 2**63 - 1)
 

@@ -42,16 +42,16 @@ def authority(pki):
 
 
 def test_a_log_as_it_was_written_is_intact_and_a_chain_without_signatures_says_so(tmp_path):
-    verdict = verify(write(tmp_path / "run.mcap"))
-    assert verdict.intact
-    assert verdict.closed
-    assert verdict.verified_bytes == sum(map(len, PARTS))
-    assert verdict.notes == ["the chain has no signatures: it shows damage, but not forgery"]
+    result = verify(write(tmp_path / "run.mcap"))
+    assert result.intact
+    assert result.closed
+    assert result.verified_bytes == sum(map(len, PARTS))
+    assert result.notes == ["the chain has no signatures: it shows damage, but not forgery"]
 
 
 def test_a_signed_log_names_the_logger_of_the_authority(tmp_path, pki):
-    verdict = verify(write(tmp_path / "run.mcap", key(pki)), authority=authority(pki))
-    assert (verdict.problems, verdict.notes, verdict.signed_by) == ([], [], "logger.1")
+    result = verify(write(tmp_path / "run.mcap", key(pki)), authority=authority(pki))
+    assert (result.problems, result.notes, result.signed_by) == ([], [], "logger.1")
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,10 @@ def test_a_log_that_was_not_closed_is_intact_up_to_the_last_sync(tmp_path):
     log = write(tmp_path / "run.mcap", closed=False)
     with log.open("ab") as stream:
         stream.write(b"open chunk")
-    verdict = verify(log)
-    assert verdict.intact
-    assert not verdict.closed
-    assert "the last 10 bytes came after the last sync, and are not covered" in verdict.notes
+    result = verify(log)
+    assert result.intact
+    assert not result.closed
+    assert "the last 10 bytes came after the last sync, and are not covered" in result.notes
 
 
 def test_the_chain_of_the_log_before_cannot_be_replaced(tmp_path):

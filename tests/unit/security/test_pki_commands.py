@@ -9,8 +9,8 @@ from typer.testing import CliRunner, Result
 
 from rpod.__main__ import app
 from rpod_schemas.config.base import check as check_config
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
-from rpod_schemas.config.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import AuditRecord
 

@@ -9,7 +9,7 @@ from rpod_logger.selection import patterns
 from rpod_schemas.config.base import check, load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.rights import RightsConfig
+from rpod_schemas.config.facility.rights import RightsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.topics import SENT_BY, TOPICS, TRUTH_TOPICS, Namespace
 from rpod_security.certificates import Identity

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from rpod_target import Target, TargetError, drafting, load_target, pieces
-from rpod_target.drafting import DraftOptions, draft
-from rpod_target.mesh_files import FileMaterial
-from rpod_target.proposed_materials import proposed
-from rpod_target.simplification import ENOUGH, simplified
+from rpod_target import Target, TargetError, load_target
+from rpod_target.build import pieces
+from rpod_target.drafting import draft as drafting
+from rpod_target.drafting.draft import DraftOptions, draft
+from rpod_target.drafting.materials import proposed
+from rpod_target.mesh.files import FileMaterial
+from rpod_target.mesh.simplification import ENOUGH, simplified
 from rpod_target.symmetry import find_symmetries
 
 OBJ = """mtllib colours.mtl

@@ -33,12 +33,12 @@ def test_no_module_of_libigl_but_its_core_is_imported() -> None:
         for name in imported(file)
         if name.split(".")[0] == CORE
     }
-    assert found == {("sim_sensor/rpod_target/mesh_repair.py", CORE)}
+    assert found == {("sim_sensor/rpod_target/mesh/repair.py", CORE)}
 
 
 def test_the_core_loads_nothing_else_of_libigl() -> None:
     code = (
-        "import sys, numpy as np; from rpod_target.mesh_repair import winding_number; "
+        "import sys, numpy as np; from rpod_target.mesh.repair import winding_number; "
         "winding_number(np.eye(3)[None], np.zeros((1, 3))); "
         "print(*(name for name in sys.modules if name.partition('.')[0] == 'igl'))"
     )

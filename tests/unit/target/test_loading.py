@@ -172,7 +172,7 @@ def test_the_environment_names_the_cache(
 def test_a_cold_start_without_open3d_says_what_to_install(
     document: dict[str, Any], write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("building", "interior", "pieces", "simplification", "visibility"):
+    for module in ("build.arrays", "build.interior", "build.pieces", "mesh.simplification", "visibility"):
         monkeypatch.delitem(sys.modules, f"rpod_target.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(TargetError, match=r"install rpod\[target\]"):

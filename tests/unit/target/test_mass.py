@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from rpod_target.mass import mass_properties
+from rpod_target.build.mass import mass_properties
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5])
 AT_M = np.array([12.0, -7.0, 3.0])

@@ -11,11 +11,11 @@ import trimesh
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target, TargetError, load_target
-from rpod_target.mesh_files import companions, read_mesh_file
-from rpod_target.mesh_repair import repair, winding_number
+from rpod_target.build.surfaces import box_surface
+from rpod_target.mesh.files import companions, read_mesh_file
+from rpod_target.mesh.repair import repair, winding_number
+from rpod_target.mesh.topology import open_edges, volume_m3
 from rpod_target.parameters import BoxParameters
-from rpod_target.surfaces import box_surface
-from rpod_target.topology import open_edges, volume_m3
 
 Build = Callable[..., Target]
 GRID = {"spacing_m": 0.05, "margin_m": 0.23}

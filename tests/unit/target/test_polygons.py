@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rpod_target.mesh_files import read_mesh_file
-from rpod_target.polygons import concave, triangulated
-from rpod_target.topology import areas_m2, open_edges, volume_m3
+from rpod_target.mesh.files import read_mesh_file
+from rpod_target.mesh.polygons import concave, triangulated
+from rpod_target.mesh.topology import areas_m2, open_edges, volume_m3
 
 L = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
 """An L with an area of 5, whose fan from its first corner is right; from the third it is not."""

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 import rpod_target
 from rpod_schemas.config.base import load
 from rpod_target import Target, load_target, shipped_targets
+from rpod_target.mesh.topology import open_edges, volume_m3
 from rpod_target.parameters import TargetParameters
-from rpod_target.topology import open_edges, volume_m3
 
 PACKAGE = Path(rpod_target.__file__).parent
 

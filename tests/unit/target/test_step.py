@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpod_target.drafting import DraftOptions, draft
-from rpod_target.mesh_files import MeshFile, read_mesh_file
-from rpod_target.topology import open_edges, volume_m3
+from rpod_target.drafting.draft import DraftOptions, draft
+from rpod_target.mesh.files import MeshFile, read_mesh_file
+from rpod_target.mesh.topology import open_edges, volume_m3
 
 FILE = Path(__file__).with_name("satellite.step")
 BOXES_M = {

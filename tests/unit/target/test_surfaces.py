@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rpod_target.parameters import BoxParameters, CylinderParameters, FrustumParameters, PrismParameters
-from rpod_target.surfaces import (
+from rpod_target.build.surfaces import (
     FACETS,
     Surface,
     box_surface,
@@ -14,7 +13,8 @@ from rpod_target.surfaces import (
     frustum_surface,
     prism_surface,
 )
-from rpod_target.topology import open_edges, unit_normals, volume_m3
+from rpod_target.mesh.topology import open_edges, unit_normals, volume_m3
+from rpod_target.parameters import BoxParameters, CylinderParameters, FrustumParameters, PrismParameters
 
 LENGTH_M = st.floats(0.01, 20.0)
 

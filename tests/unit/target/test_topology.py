@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from rpod_target.parameters import BoxParameters, CylinderParameters, FrustumParameters, PrismParameters
-from rpod_target.surfaces import (
+from rpod_target.build.surfaces import (
     FACETS,
     box_surface,
     cylinder_surface,
     frustum_surface,
     prism_surface,
 )
-from rpod_target.topology import creases, edges, open_edges, separate_surfaces
+from rpod_target.mesh.topology import creases, edges, open_edges, separate_surfaces
+from rpod_target.parameters import BoxParameters, CylinderParameters, FrustumParameters, PrismParameters
 
 ANGLE_RAD = np.deg2rad(30.0)
 BOX_M = box_surface(

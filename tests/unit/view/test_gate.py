@@ -12,11 +12,11 @@ from urllib.request import HTTPRedirectHandler, Request, build_opener
 import pytest
 
 from rpod_schemas.config.base import check
-from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_view import gate, viewer
 from rpod_view.errors import GateError
-from rpod_view.gate import open_gate, read_token
+from rpod_view.viewer import gate, viewer
+from rpod_view.viewer.gate import open_gate, read_token
 
 
 class Server(BaseHTTPRequestHandler):

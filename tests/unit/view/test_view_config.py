@@ -1,9 +1,9 @@
 import pytest
 
 from rpod_schemas.config.base import check
-from rpod_schemas.config.view import ViewConfig
+from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_view.viewer import has_display
+from rpod_view.viewer.viewer import has_display
 
 
 def test_a_view_stays_on_this_machine_unless_told_otherwise():

@@ -153,8 +153,8 @@ def test_points_lie_on_the_target(drawn, target):
 
 def test_state_and_events_tell_what_changed(drawn):
     assert [row[0] for row in drawn["state/mode"].columns["StateChange:state"]] == ["ACQUIRING", "TRACKING"]
-    verdicts = [row[0] for row in drawn["state/verdict"].columns["StateChange:state"]]
-    assert verdicts == ["accepted", "rejected", "accepted"]
+    changes = [row[0] for row in drawn["state/acceptance"].columns["StateChange:state"]]
+    assert changes == ["accepted", "rejected", "accepted"]
     events = [row[0] for row in drawn["events"].columns["TextLog:text"]]
     assert [text for text in events if not text.startswith("integrity")] == [
         "ACQUIRING",

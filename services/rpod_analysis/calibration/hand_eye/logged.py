@@ -18,14 +18,11 @@ from rpod_analysis.log.sensors import Sensor, find_sensors
 from rpod_analysis.replay.navigate import configured_estimator, estimator_outputs
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.sensor import RANGE_OFFSET_SIGMA_M
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, ESTIMATE, STATUS, TRUTH
-
-_LIDAR_DEPTH_SIGMA_M = 0.03
-"""Standard deviation of the offset of a LIDAR's ranges: the accuracy in data sheets of scanners, 3 cm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +63,12 @@ def poses_of(log: Log, name: str | None, config: EstimatorConfig | None = None) 
             config = None
     inputs = [item for item in config.sensors if item.name == sensor.name] if config else []
     if config is None or not inputs:
-        return LoggedPoses(_estimates(log, sensor), truth, sensor, sensor.source, _LIDAR_DEPTH_SIGMA_M, True)
+        return LoggedPoses(_estimates(log, sensor), truth, sensor, sensor.source, RANGE_OFFSET_SIGMA_M, True)
     measuring = inputs[0]
     if sensor.T_chaser_sensor is None and measuring.T_chaser_sensor is None:
         measuring = measuring.model_copy(update={"T_chaser_sensor": make_pose()})  # any mount does
     measured = _measurements(log, config.model_copy(update={"sensors": (measuring,)}))
-    return LoggedPoses(measured, truth, sensor, measuring.source, _depth_sigma_m(measuring), False)
+    return LoggedPoses(measured, truth, sensor, measuring.source, measuring.range_offset_sigma_m, False)
 
 
 def _sensor(log: Log, name: str | None) -> Sensor:
@@ -144,13 +141,3 @@ def _stamped(
     return StampedPoses(
         np.array(stamps_ns, np.int64), matrices[:, :3, :3], matrices[:, :3, 3], np.stack(list(covariances))
     ).in_order()
-
-
-def _depth_sigma_m(sensor: object) -> float:
-    """Return how far a sensor's distances may be off, by what its estimator assumes."""
-    if not isinstance(sensor, PmdInput):
-        return _LIDAR_DEPTH_SIGMA_M
-    if sensor.calibration is not None and sensor.calibration.evidence is not None:
-        return sensor.calibration.evidence.bias_after_m
-    depth = (sensor.tracking if isinstance(sensor.tracking, JointConfig) else JointConfig()).tuning.depth
-    return (depth.raw if sensor.calibration is None else depth.calibrated).bias_m

@@ -12,12 +12,12 @@ from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.errors import RecordingError
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.frames import PartRejectedError, assembler_of, open_reader
-from rpod_schemas.cdr import decode, peek_stamp
 from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.rmw.cdr import decode, peek_stamp
+from rpod_schemas.rmw.wire import UNNUMBERED
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import Topic
 from rpod_schemas.types import SensorFrame
-from rpod_schemas.wire import UNNUMBERED
 
 log = logging.getLogger(__name__)
 

@@ -41,7 +41,7 @@ from rpod_pose.registration.normal_equations import (
     no_sums,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig
+from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.brightness import albedos
-from rpod_schemas.config.lidar_methods import ScanComparisonConfig
+from rpod_schemas.config.lidar.methods import ScanComparisonConfig
 from rpod_schemas.types import LidarScan
 from rpod_target import Target
 

@@ -22,7 +22,7 @@ from rpod_pose.lidar.paper_2015.covariance_cue import CovarianceCue
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Candidate, Candidates
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
+from rpod_schemas.config.lidar.methods import TemplateMatchingConfig
 from rpod_schemas.types import LidarScan
 from rpod_target import Target
 

@@ -31,7 +31,7 @@ from rpod_pose.navigation.filter.prediction import of_blocks, process_noise, tur
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, orthonormal
 from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSITION, RATE, VELOCITY, FilterState, Motion
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
 CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_ratios"
@@ -40,6 +40,7 @@ STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, ACCELERATION_BIAS})
 """Names of the blocks of further states."""
 
 _NONE = np.zeros(3)
+"""A bias that is not estimated."""
 
 
 @dataclass(frozen=True, eq=False)

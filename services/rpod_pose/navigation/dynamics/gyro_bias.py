@@ -15,6 +15,7 @@ from rpod_pose.navigation.filter.rotations import exponential
 from rpod_schemas.arrays import FloatArray
 
 _PHI, _BIAS = slice(0, 3), slice(3, 6)
+"""Places of the turn and of the bias in the errors."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

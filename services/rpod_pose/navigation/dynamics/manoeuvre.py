@@ -26,7 +26,7 @@ from rpod_pose.navigation.filter import (
 )
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 
 _EXPECTED = 3.0

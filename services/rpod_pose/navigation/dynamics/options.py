@@ -17,7 +17,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
-from rpod_schemas.config.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Target
 

@@ -24,6 +24,7 @@ from rpod_schemas.arrays import FloatArray
 RATIOS = 2
 """Number of coefficients of an inertia's ratios."""
 _BASIS = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
+"""Orthonormal changes of the logarithms of three moments that keep their product, which no motion shows."""
 _STEP_RAD = 0.1
 """Largest turn in a step of the integration: the error of a step is about 1e-7 rad."""
 

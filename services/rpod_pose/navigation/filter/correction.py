@@ -15,7 +15,7 @@ from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
 from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, unturned
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix, rotation_of
 from rpod_target import Equivalence
 

@@ -11,7 +11,7 @@ from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measu
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
 

@@ -27,7 +27,7 @@ from rpod_pose.navigation.filter.state import (
     unturned,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
 

@@ -9,13 +9,15 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed
 from rpod_pose.navigation.filter.rotations import exponential, orthonormal
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
 from rpod_target.equivalence import with_variance_about
 
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""Places of a state's parts among its errors."""
 POSE, TWIST = slice(0, 6), slice(6, 12)
+"""Places of position with attitude, and of velocity with rate."""
 MOTION = slice(0, 12)
 """Pose and twist; the states of blocks follow."""
 

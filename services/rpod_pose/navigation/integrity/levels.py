@@ -34,7 +34,7 @@ from scipy.special import chdtri, gammainccinv, ndtr, ndtri
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
 from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
 _RATIOS = 20
 """Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored."""

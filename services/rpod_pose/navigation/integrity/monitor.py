@@ -104,10 +104,10 @@ class Monitor:
         memory = self._remembered(memory, estimate)
         limit = self._limit(memory, state, estimate)
         levels, less = self._levels(memory, state, output, estimate, limit)
-        judged = self._judged(
+        checked = self._checked(
             memory, output, estimate, limit, tests=tests, levels=levels, less=less, evidence=evidence
         )
-        return memory, judged
+        return memory, checked
 
     # --- memory ---
 
@@ -289,7 +289,7 @@ class Monitor:
 
     # --- the result ---
 
-    def _judged(
+    def _checked(
         self,
         memory: Memory,
         output: Output,

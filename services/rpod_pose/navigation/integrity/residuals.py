@@ -19,7 +19,7 @@ from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.integrity.levels import chi2_limit
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 
 _EXPLAINED = 0.5
 """Share of a bias from which on a clock is named as its cause: more than all other causes together."""

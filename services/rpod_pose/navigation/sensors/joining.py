@@ -15,7 +15,7 @@ from typing import NamedTuple
 from rpod_pose.navigation.filter import is_consistent
 from rpod_pose.navigation.history import Applied, History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 
 AGREEMENTS = 2
 """Number of frames of established sensors that must agree. By the first one, the newcomer may have delivered

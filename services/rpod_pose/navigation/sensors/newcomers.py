@@ -14,7 +14,7 @@ from rpod_pose.navigation.sensors.streams import is_supported
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.types import Mode
 
 LATE = "late: older than the filter's history"

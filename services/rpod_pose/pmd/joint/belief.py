@@ -3,7 +3,7 @@
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.frame_check import Contradictions
 from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd_joint import JointTuning
+from rpod_schemas.config.pmd.joint import JointTuning
 
 
 def frame_belief(
@@ -25,7 +25,7 @@ def frame_belief(
         sigma_m: standard deviation of the camera's bias.
         range_m: distance of the target.
     """
-    limits = tuning.verdict
+    limits = tuning.acceptance
     scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
     evidence = {
         **inconsistent.evidence,

@@ -4,10 +4,10 @@ import math
 
 from rpod_pose.ports import PartSolution
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_joint import JointVerdictConfig
+from rpod_schemas.config.pmd.joint import JointAcceptanceConfig
 
 
-def edges_in_place(limits: JointVerdictConfig, *, edges: int, expected: float, checked: int) -> float:
+def edges_in_place(limits: JointAcceptanceConfig, *, edges: int, expected: float, checked: int) -> float:
     """Return the share of the expected edges found near their place, plus an allowance for chance.
 
     The result is 1 if too few places are checked.
@@ -24,14 +24,14 @@ def edges_in_place(limits: JointVerdictConfig, *, edges: int, expected: float, c
     return edges / expected + 1.0 / math.sqrt(expected)
 
 
-def misplaced_edges(limits: JointVerdictConfig, in_place: float) -> str:
+def misplaced_edges(limits: JointAcceptanceConfig, in_place: float) -> str:
     """Return why the edges are inconsistent with a pose; empty if they are not."""
     if in_place >= limits.min_edge_share:
         return ""
     return f"{in_place:.0%} of the edges are in their place, {limits.min_edge_share:.0%} needed"
 
 
-def bias_sigmas(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> float:
+def bias_sigmas(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> float:
     """Return the bias of the ranges beyond that of ``scale_share``, in standard deviations of the camera's.
 
     Args:
@@ -43,7 +43,7 @@ def bias_sigmas(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, ra
     return max(abs(bias_m) - limits.scale_share * range_m, 0.0) / sigma_m
 
 
-def wrong_scale(limits: JointVerdictConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
+def wrong_scale(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
     """Return why ranges and edges cannot belong to one target; empty if they can.
 
     Edges show the apparent size of the target, ranges its distance. The two are inconsistent for a target of

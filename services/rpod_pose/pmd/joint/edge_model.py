@@ -15,7 +15,7 @@ from rpod_pose.pmd.joint.edge_search import EdgeArrays
 from rpod_pose.registration.brightness import spreads
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
-from rpod_target.topology import components, edges
+from rpod_target.mesh.topology import components, edges
 
 CREASE_RAD = np.radians(15.0)
 """Least angle between faces at an edge: below, they belong to one curved surface."""

@@ -21,6 +21,7 @@ MOST_REACH = 32
 FLAT = 0.02
 """Least change along a profile over the change that counts: noise changes more, glints and blackouts less."""
 NOT_SATURATED = np.zeros((0, 0), np.uint8)
+"""Mask of an image without saturated pixels."""
 MIDDLE = 2
 """Half length of the middle of a profile, px."""
 

@@ -34,7 +34,7 @@ from rpod_pose.pmd.joint.edge_search import (
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_joint import JointEdgeConfig
+from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 

@@ -208,17 +208,29 @@ def add_edge_points(
             inliers += 1
             squares += e2
             noise_px2 += (BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)) ** 2
-            if (
-                patch.saturated.size
-                and patch.saturated[int(row + place * down), int(column + place * across)]
-            ):
+            darker = darker_side(patch, Profile(column, row, across, down), place)
+            if darker != 0.0:
                 shifted += 1
-                ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
-                behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
-                darker = -1.0 if ahead < behind else 1.0
                 weight = geman_mcclure(e2, c2)
                 add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
     return EdgeEvidence(squares, inliers, checked, found, expected, shifted, noise_px2, shift)
+
+
+@kernel
+def darker_side(patch: Patch, profile: Profile, place: float) -> float:
+    """Return the darker side of an edge beside saturated pixels: -1 ahead, 1 behind; 0 for any other edge.
+
+    Args:
+        patch: the image.
+        profile: line across the edge.
+        place: place of the edge on it, px.
+    """
+    column, row, across, down = profile
+    if not patch.saturated.size or not patch.saturated[int(row + place * down), int(column + place * across)]:
+        return 0.0
+    ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+    behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+    return -1.0 if ahead < behind else 1.0
 
 
 @kernel

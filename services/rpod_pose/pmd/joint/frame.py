@@ -15,7 +15,7 @@ from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.config.pmd_joint import JointEdgeConfig, JointTuning
+from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
@@ -40,6 +40,7 @@ MOST_SATURATED = 0.8
 MIXED_BLURS = 2.0
 """Distance from a saturated pixel, over the blur, within which edges are shifted."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
+"""Patch of a frame without amplitude: in it no edge is found."""
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
 OUTER = 4
@@ -119,9 +120,7 @@ class JointFrame:
         images, pixels = DepthImages(frame.depth_m, amplitude, least), CoarsePixels(view.stride, view.offset)
         range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
         range_m[sigma_m > tuning.check.most_noise_m] = np.nan
-        measured = np.flatnonzero(np.isfinite(range_m))
-        if len(measured) > tuning.depth.points:
-            measured = measured[np.linspace(0, len(measured) - 1, tuning.depth.points).astype(np.intp)]
+        measured = _measured(range_m, tuning.depth.points)
         rays = view.coarse.components.reshape(3, -1)[:, measured]
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
@@ -130,19 +129,12 @@ class JointFrame:
         noise_m = float(np.median(noise)) if len(measured) else 0.0
         trust = _trust(noise, strength, tuning.depth.noise_m)
         whole = max(float(trust.sum()), 1e-12)
-        typical = typical if len(measured) >= tuning.verdict.min_points else 0.0
+        typical = typical if len(measured) >= tuning.acceptance.min_points else 0.0
         patch = _NO_PATCH
-        if frame.amplitude is None:
-            shade[:] = np.nan
-        else:
+        if frame.amplitude is not None:
             patch = _patch(frame, frame.amplitude, around, typical=typical, config=tuning.edges)
-        if frame.saturated is not None:
-            coarse = slice(view.offset, None, view.stride)
-            shade[_widened(frame.saturated, 1)[coarse, coarse]] = np.nan
-        per_px = 2 if patch.image.size <= FINE_PX else 1
-        lines = around if patch.typical else (slice(0, 1), slice(0, 1))
-        window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
-        pixels_around = view.rays(per_px).block(*window)
+        shade[_unknown_shade(frame, view)] = np.nan
+        pixels_around, per_px = _rays_of(patch, view, around)
         frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
         return cls(
             view,
@@ -190,6 +182,33 @@ def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatAr
     """
     scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
     return 1.0 / (1.0 + (scale_m / (other_m * np.maximum(strength, 1e-9))) ** 2)
+
+
+def _measured(range_m: FloatArray, points: int) -> NDArray[np.intp]:
+    """Return the row-major indices of pixels with a range, at most ``points``, evenly spread."""
+    measured = np.flatnonzero(np.isfinite(range_m))
+    if len(measured) > points:
+        measured = measured[np.linspace(0, len(measured) - 1, points).astype(np.intp)]
+    return measured
+
+
+def _unknown_shade(frame: PmdFrame, view: DepthView) -> NDArray[np.bool_]:
+    """Return the coarse pixels whose amplitude is unknown: all without an image, else the saturated ones."""
+    shape = view.coarse.components.shape[1:]
+    if frame.amplitude is None:
+        return np.ones(shape, np.bool_)
+    if frame.saturated is None:
+        return np.zeros(shape, np.bool_)
+    coarse = slice(view.offset, None, view.stride)
+    return _widened(frame.saturated, 1)[coarse, coarse]
+
+
+def _rays_of(patch: Patch, view: DepthView, around: _Window) -> tuple[GridArrays, int]:
+    """Return the rays of a patch's pixels, and how many there are for each pixel along rows and columns."""
+    per_px = 2 if patch.image.size <= FINE_PX else 1
+    lines = around if patch.typical else (slice(0, 1), slice(0, 1))
+    window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
+    return view.rays(per_px).block(*window), per_px
 
 
 def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:

@@ -63,7 +63,7 @@ from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
@@ -152,10 +152,10 @@ class JointTracker:
         pose = sight.expected.pose
         share, in_place = self._explained(seen, pose), self._in_place(seen, sight, pose)
         if in_place >= tuning.near_share:
-            yield State(pose, 0.0), self._narrow if in_place >= tuning.sharp_share else self._near
-        if share >= tuning.fair_share or len(seen.points_m) < tuning.verdict.min_points:
+            yield State(pose, 0.0), self._narrow if in_place >= tuning.accurate_share else self._near
+        if share >= tuning.fair_share or len(seen.points_m) < tuning.acceptance.min_points:
             yield State(pose, 0.0), self._full
-        if len(seen.points_m) >= tuning.verdict.min_points:
+        if len(seen.points_m) >= tuning.acceptance.min_points:
             every = max(1, round(len(seen.points_m) / tuning.far_points))
             few = Points.equal(np.ascontiguousarray(seen.points_m[::every]))
             far_m = np.maximum(self._far_m, self._least_scale_m(seen))
@@ -237,11 +237,11 @@ class JointTracker:
         ((R, t), bias), _, (depth, found, _, _) = fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
-        if points < tuning.verdict.min_points and checked < tuning.verdict.min_edges:
+        if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
             reason = f"nothing to see: {points} points on the target, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
         inconsistent = self._contradictions(seen, R, t, bias)
-        in_place = edges_in_place(tuning.verdict, edges=found.found, expected=expected, checked=checked)
+        in_place = edges_in_place(tuning.acceptance, edges=found.found, expected=expected, checked=checked)
         range_m = float(np.linalg.norm(t))
         belief = frame_belief(
             tuning, inconsistent, in_place, bias_m=bias, sigma_m=self._ranges.bias_m, range_m=range_m
@@ -324,7 +324,7 @@ class JointTracker:
         wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
-        if found.checked < tuning.verdict.min_edges:
+        if found.checked < tuning.acceptance.min_edges:
             return 0.0
         return found.found / max(found.expected, 1.0)
 
@@ -387,9 +387,9 @@ class JointTracker:
         return self._radius_px(seen) / min(seen.view.camera.width, seen.view.camera.height)
 
     def _source(self, points: int, edges: int) -> Source:
-        if edges < self._tuning.verdict.min_edges:
+        if edges < self._tuning.acceptance.min_edges:
             return Source.PMD_DEPTH
-        return Source.PMD_JOINT if points >= self._tuning.verdict.min_points else Source.PMD_AMPLITUDE
+        return Source.PMD_JOINT if points >= self._tuning.acceptance.min_points else Source.PMD_AMPLITUDE
 
     def _buffers_of(self, view: DepthView) -> RenderBuffers:
         shape = view.coarse.shape

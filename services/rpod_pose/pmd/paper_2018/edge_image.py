@@ -15,10 +15,11 @@ from scipy.ndimage import map_coordinates
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import distort, undistort
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import EdgeImageConfig
+from rpod_schemas.config.pmd.amplitude import EdgeImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 WHITE = 255.0
+"""Greatest grey value of an 8-bit image."""
 BRIGHTNESS_STRIDE = 2
 """Stride, across and down, of the pixels from which the image's brightness is estimated."""
 BEYOND_PX = 3.0

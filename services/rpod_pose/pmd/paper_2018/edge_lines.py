@@ -13,9 +13,10 @@ import numpy as np
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import Edges
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import LineMatchConfig
+from rpod_schemas.config.pmd.amplitude import LineMatchConfig
 
 REFITS = 2
+"""Number of times that a line is fitted again to the edge pixels near the last fit: a budget."""
 ALIGNED = np.cos(np.deg2rad(25.0))
 """Least cosine between an edge pixel's gradient and the normal of its line: 25 degrees."""
 

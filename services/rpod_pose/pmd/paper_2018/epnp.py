@@ -24,7 +24,7 @@ from rpod_pose.pmd.paper_2018.perspective import Correspondences, Fit, pose_from
 from rpod_pose.pmd.paper_2018.wireframe_view import NEAR_M, Shown, WireframeView
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import EpnpConfig
+from rpod_schemas.config.pmd.amplitude import EpnpConfig
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_target import Target

@@ -24,7 +24,7 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationI
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.pmd_amplitude import HybridConfig
+from rpod_schemas.config.pmd.amplitude import HybridConfig
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 

@@ -39,12 +39,14 @@ from rpod_pose.registration.normal_equations import (
     no_sums,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_methods import IcpReverseCalibrationConfig
+from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig
 from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 NO_MATCH, DIRECT, NEAREST = 0, 1, 2
+"""How a model point found its pixel: not at all, in its own pixel, or in the nearest with depth."""
 NEAR_M = 0.05
+"""Least z of a point that is projected, m: no camera measures nearer."""
 STALE_M = 0.01
 """Least step after which the visible model points are determined again."""
 EQUAL_WEIGHTS_M = 1e3

@@ -17,18 +17,22 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.paper_2018.edge_image import EdgeImage, bent
 from rpod_pose.pmd.paper_2018.wireframe_view import plane_axes
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd_amplitude import CircleConfig
+from rpod_schemas.config.pmd.amplitude import CircleConfig
 from rpod_schemas.types import Float32Array
 from rpod_target.outlines import Disc
 
 MARGIN = 1.4
 """Extent of the resampled image from the predicted centre, in radii, beyond the reach of the search."""
 SPOKES = 48
+"""Number of directions from the centre along which the rim is looked for: a budget, 7.5 deg apart."""
 STEPS = 25
 """Number of points along a spoke at which the amplitude is read."""
 REFITS = 3
+"""Number of times that the circle is fitted, each time in a narrower search: a budget."""
 _ANGLE = np.arange(SPOKES) * (2.0 * np.pi / SPOKES)
+"""Angles of the spokes, rad."""
 _SPOKE = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=1)
+"""Directions of the spokes, shape (SPOKES, 2)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,9 +30,11 @@ CONVERGED = 1e-6
 LEAST_HOLD = 1e-12
 """Prior information that the step is zero, 1/m2 or 1/rad2 times px2: negligible."""
 BEHIND_M = 1e-3
+"""Least z of a point that is projected, m: at smaller z its derivatives overflow."""
 PRIOR_RESIDUALS = 4.0
 """Number of residuals for which the assumed noise counts: few points hardly determine their own noise."""
 WORST_CONDITION = 1e10
+"""Condition of the information from which on it is not inverted: six digits of a double are left."""
 
 
 @dataclass(frozen=True, eq=False)

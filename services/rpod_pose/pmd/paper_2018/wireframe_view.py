@@ -18,6 +18,7 @@ from rpod_target import Target
 from rpod_target.outlines import Disc, Face, plane_faces
 
 NEAR_M = 0.05
+"""Least z of a point that is projected, m: no camera measures nearer."""
 BESIDE_STRIDES = 1.5
 """Distance from a line, in coarse pixels, at which the background is checked."""
 KNOTS = np.linspace(0.04, 0.96, 12)
@@ -29,6 +30,7 @@ PARALLEL = 0.99
 AXIS_SHARE = 0.01
 """Greatest distance of two equal axes of circles, as a share of the radius."""
 RIM = np.stack([np.cos(2.0 * np.pi * KNOTS), np.sin(2.0 * np.pi * KNOTS)], axis=1)
+"""These positions on a unit circle, shape (12, 2)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from rpod_analysis.errors import CalibrationError
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.surroundings.known import known_parts
 from rpod_schemas.config.base import load
-from rpod_schemas.config.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera

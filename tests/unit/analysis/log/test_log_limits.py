@@ -13,7 +13,7 @@ from rpod_analysis.errors import DamagedLogError, LogLimitError
 from rpod_analysis.log import limits, open_log
 from rpod_analysis.log.limits import LogLimits, lifted
 from rpod_analysis.recovery import recover
-from rpod_schemas.cdr import is_known, learn
+from rpod_schemas.rmw.cdr import is_known, learn
 
 MAGIC = b"\x89MCAP0\r\n"
 MIB = 1 << 20

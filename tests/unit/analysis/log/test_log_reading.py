@@ -13,9 +13,9 @@ from synthetic_log import EPOCH_NS, SyntheticRun
 
 from rpod_analysis import AnalysisError, find_sensors, open_log, pmd_frames, read_run
 from rpod_analysis.recovery import recover
-from rpod_schemas.cdr import definition, typestore
 from rpod_schemas.logs import MESSAGE_ENCODING, SCHEMA_ENCODING
 from rpod_schemas.messages import read_image
+from rpod_schemas.rmw.cdr import definition, typestore
 from rpod_schemas.topics import DEPTH, TRUTH
 
 SECOND = 1_000_000_000

@@ -10,7 +10,7 @@ from synthetic_log import T_CHASER_SENSOR, SyntheticRun, approach
 from rpod_analysis.calibration.depth_samples import collect
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.log import open_log
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.recovery import recover
 from rpod_analysis.replay import compare, replay
 from rpod_analysis.replay.frames import Frames

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rpod_analysis.log.unreadable import StampCheck
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_schemas.errors import MessageRejectedError
 
 SECOND_NS = 1_000_000_000

@@ -13,10 +13,10 @@ from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approa
 
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import compare, configured_estimator, replay
-from rpod_schemas.cdr import decode, typestore
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import CONFIGURATION, REPLAY
 from rpod_schemas.messages import read_integrity
+from rpod_schemas.rmw.cdr import decode, typestore
 from rpod_schemas.topics import ESTIMATE, INTEGRITY, STATUS
 from rpod_schemas.types import Camera, IntegrityState, Mode
 from rpod_target import load_target

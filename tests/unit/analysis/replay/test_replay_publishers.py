@@ -13,12 +13,12 @@ from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approa
 from rpod_analysis import open_log
 from rpod_analysis.replay import replay
 from rpod_estimator.estimator import Estimator
-from rpod_schemas.cdr import definition, encode
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.logs import GID_METADATA, PUBLISHERS, REPLAY, SESSION_METADATA
 from rpod_schemas.messages import write_diagnostics, write_transforms
 from rpod_schemas.poses import make_pose
+from rpod_schemas.rmw.cdr import definition, encode
 from rpod_schemas.topics import CHASER, DIAGNOSTICS, STATUS, TF_STATIC, optical_frame
 from rpod_schemas.types import Camera, Diagnostic, Health, Mode
 from rpod_target import load_target

@@ -98,7 +98,7 @@ def test_without_truth_errors_are_null_and_all_estimates_unscored(tmp_path):
     assert {check.good for check in find_checks(summary, 0) if check.question == "Accuracy"} == {None}
 
 
-def test_a_run_that_never_tracked_has_nulls_and_a_verdict(tmp_path):
+def test_a_run_that_never_tracked_has_nulls_and_a_result(tmp_path):
     summary = summary_of(tmp_path, frame=lambda *_: Frame(mode=Mode.ACQUIRING, reason="nothing found"))
     assert (summary.modes.first_tracking_s, summary.error, summary.latency_s) == (None, None, None)
     assert summary.estimates.lost_s == 0.0

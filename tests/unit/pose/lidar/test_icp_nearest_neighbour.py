@@ -8,7 +8,7 @@ from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
-from rpod_schemas.config.lidar_methods import IcpNearestNeighbourConfig, ScanComparisonConfig
+from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, ScanComparisonConfig
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import LidarScan, Source
 from rpod_sim_sensor.lidar import LidarEmulator

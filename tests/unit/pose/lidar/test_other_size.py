@@ -8,7 +8,7 @@ from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.lie_group import PoseArrays, moved
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 from rpod_schemas.poses import pose_error
 
 T = random_pose(3)

@@ -23,7 +23,7 @@ from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
-from rpod_schemas.config.lidar_search import ProjectiveIcpConfig, ProjectiveIcpTuning
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig, ProjectiveIcpTuning
 from rpod_schemas.poses import make_pose, pose_error, pose_of
 from rpod_schemas.types import BeliefLevel, Source
 from rpod_sim_sensor.lidar import LidarEmulator

@@ -14,7 +14,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
-from rpod_schemas.config.lidar_search import ScanModelConfig, ScanVerdictConfig
+from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 from rpod_schemas.poses import make_pose, pose_of
 from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_sim_sensor.worlds import world_of
@@ -76,7 +76,7 @@ def test_the_sigma_of_a_range_is_what_the_sensor_says_and_a_guess_where_it_says_
     view, surface = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad), SurfaceModel.of(load(BULKY))
 
     def sigma_m(told_m, **config):
-        parts = ScanModelConfig(**config), ScanVerdictConfig(), view, surface
+        parts = ScanModelConfig(**config), ScanAcceptanceConfig(), view, surface
         return ScanModel(*parts, sigma_range_m=told_m).sigma_range_m
 
     assert sigma_m(0.01) == 0.01
@@ -101,7 +101,7 @@ def test_scans_drawn_from_the_model_lack_nothing_but_chance(target, range_m, hal
     config = ScanModelConfig(clutter_share=1e-6)
     view = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
     surface = SurfaceModel.of(load(target))
-    model = ScanModel(config, ScanVerdictConfig(), view, surface, sigma_range_m=0.025)
+    model = ScanModel(config, ScanAcceptanceConfig(), view, surface, sigma_range_m=0.025)
     scores = []
     for seed in range(40):
         T, generator = random_pose(seed, range_m), np.random.default_rng((1, seed))

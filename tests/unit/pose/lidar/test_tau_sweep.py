@@ -8,7 +8,7 @@ from rpod_pose.lidar.paper_2015.tau_sweep import sweep_tau
 from rpod_pose.lidar.paper_2015.template_matching import Comparison, OnlineTemplateMatching
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_schemas.config.lidar_methods import TemplateMatchingConfig
+from rpod_schemas.config.lidar.methods import TemplateMatchingConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator

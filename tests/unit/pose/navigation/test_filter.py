@@ -19,7 +19,7 @@ from rpod_pose.navigation.filter import (
     update,
 )
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig, FilterTuning
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
 from rpod_schemas.poses import make_pose
 from rpod_target import Equivalence, Symmetry
 

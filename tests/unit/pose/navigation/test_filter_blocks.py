@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.navigation.filter import POSE, Block, FilterState, predict, start, update
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig, FilterTuning
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
 from rpod_schemas.poses import make_pose
 from rpod_target import Equivalence, Symmetry
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from rpod_pose.navigation.filter import FilterState, predict, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 
 CONFIG = FilterConfig(max_delay_s=1.0)

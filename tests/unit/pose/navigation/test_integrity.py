@@ -28,8 +28,8 @@ from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
-from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry, Source
 

@@ -12,8 +12,8 @@ from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, share
 from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.filter import FilterConfig
-from rpod_schemas.config.integrity import IntegrityConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 
 SECOND_NS = 1_000_000_000

@@ -31,7 +31,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted, worst_sigma
 from rpod_pose.ports import Acquisition, Registration
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, LidarScan, Mode, Source
 from rpod_target import Equivalence, Symmetry

@@ -12,7 +12,7 @@ from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, NavigatorConfig, PmdInput
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import BeliefLevel, Mode
 

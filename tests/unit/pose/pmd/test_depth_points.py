@@ -17,7 +17,7 @@ from rpod_pose.registration.normal_equations import gradient_of, information_of,
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import PmdFrame
 from rpod_sim_sensor.pmd import PmdEmulator

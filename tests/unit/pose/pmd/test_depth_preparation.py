@@ -14,8 +14,8 @@ from rpod_geometry.rays import RayGrid
 from rpod_pose.methods import methods_of
 from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, calibrated
 from rpod_pose.ports import Acquisition, Outcome, Registration
-from rpod_schemas.config.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import PmdInfo, Source
 from rpod_target import load_target

@@ -2,9 +2,9 @@ import pytest
 from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd_joint import JointTuning, JointVerdictConfig
+from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 
-LIMITS = JointVerdictConfig(
+LIMITS = JointAcceptanceConfig(
     min_edge_share=0.5, min_points=40, min_edges=40, bias_sigmas=2.0, scale_share=0.004
 )
 
@@ -38,4 +38,4 @@ def test_ranges_that_do_not_fit_the_size_are_a_reason_and_farther_off_more_is_to
 
 def test_what_is_not_believed_is_weak():
     with pytest.raises(ValidationError, match="weak_edge_share"):
-        JointTuning(verdict=JointVerdictConfig(min_edge_share=0.7, weak_edge_share=0.6))
+        JointTuning(acceptance=JointAcceptanceConfig(min_edge_share=0.7, weak_edge_share=0.6))

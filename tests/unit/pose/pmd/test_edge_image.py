@@ -3,7 +3,7 @@ import pytest
 from pmd_frames import CAMERA, frame_of
 
 from rpod_pose.pmd.paper_2018.edge_image import EdgeImage, Edges, bent, edge_image, straightened
-from rpod_schemas.config.pmd_amplitude import EdgeImageConfig
+from rpod_schemas.config.pmd.amplitude import EdgeImageConfig
 
 CONFIG = EdgeImageConfig()
 CORNER = (120.3, 80.6)

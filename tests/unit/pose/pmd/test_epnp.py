@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.pmd.paper_2018.edge_lines import ImageLine, intersection
 from rpod_pose.pmd.paper_2018.epnp import EpnpTracker
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_amplitude import EpnpConfig
+from rpod_schemas.config.pmd.amplitude import EpnpConfig
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import Source
 from rpod_target import load_target

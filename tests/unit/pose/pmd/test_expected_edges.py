@@ -15,7 +15,7 @@ from rpod_pose.pmd.joint.expected_edges import (
     moved_px,
 )
 from rpod_pose.registration.lie_group import PoseArrays
-from rpod_schemas.config.pmd_joint import JointEdgeConfig
+from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
 

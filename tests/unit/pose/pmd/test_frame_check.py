@@ -11,7 +11,7 @@ from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_check import PmdCheckConfig
+from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 from rpod_target import Target, load_target

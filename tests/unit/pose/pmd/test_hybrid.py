@@ -11,7 +11,7 @@ from rpod_pose.pmd.paper_2018.hybrid import HybridTracker, fused, squared_differ
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_amplitude import HybridConfig
+from rpod_schemas.config.pmd.amplitude import HybridConfig
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import Source
 

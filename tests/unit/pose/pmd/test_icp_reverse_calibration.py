@@ -22,7 +22,7 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import (
 )
 from rpod_pose.registration.lie_group import moved
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_methods import (
+from rpod_schemas.config.pmd.methods import (
     DepthComparisonConfig,
     DepthImageConfig,
     IcpReverseCalibrationConfig,

@@ -12,7 +12,7 @@ from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_joint import JointConfig
+from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rpod_pose.pmd.fit import PmdFitter, Surface
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_search import PmdModelConfig, PmdSceneConfig
+from rpod_schemas.config.pmd.search import PmdModelConfig, PmdSceneConfig
 from rpod_schemas.poses import make_pose
 from rpod_target import load_target
 

@@ -14,7 +14,7 @@ from rpod_pose.registration.distance_field import distance_and_gradient, field_a
 from rpod_pose.registration.lie_group import moved, turned
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.config.motion import FACING
-from rpod_schemas.config.pmd_methods import SignedDistanceConfig, SignedDistanceTuning
+from rpod_schemas.config.pmd.methods import SignedDistanceConfig, SignedDistanceTuning
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_target import TargetError, load_target
 

@@ -19,8 +19,8 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.pmd_joint import JointConfig
-from rpod_schemas.config.pmd_search import PmdAcquisitionConfig, PmdAcquisitionTuning
+from rpod_schemas.config.pmd.joint import JointConfig
+from rpod_schemas.config.pmd.search import PmdAcquisitionConfig, PmdAcquisitionTuning
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rpod_pose.registration.surface_model import outline_edges
-from rpod_target.topology import unit_normals
+from rpod_target.mesh.topology import unit_normals
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 TETRAHEDRON = CORNERS[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]

@@ -12,7 +12,7 @@ from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.search.attitude_grid import even_directions, super_fibonacci
 from rpod_pose.search.energy import CELLS, NOTHING_IN_VIEW, energies
 from rpod_pose.search.view_model import AREA, VIEWS, ViewModel, centroids_in_view, spread, view_of
-from rpod_schemas.config.lidar_search import GlobalSearchConfig
+from rpod_schemas.config.lidar.search import GlobalSearchConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 

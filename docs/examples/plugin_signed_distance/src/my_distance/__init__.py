@@ -1,6 +1,6 @@
 """A tracking method of one's own: signed distance under another name."""
 
-from rpod_schemas.config.pmd_methods import SignedDistanceConfig
+from rpod_schemas.config.pmd.methods import SignedDistanceConfig
 from rpod_schemas.sensors import Method
 
 

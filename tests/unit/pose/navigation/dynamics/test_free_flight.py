@@ -9,7 +9,7 @@ from free_flight.course import AT_THEIR_WORD, Course, fly
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
 from rpod_pose.navigation.dynamics.options import Dynamics, evidence_of
 from rpod_schemas.config.base import check
-from rpod_schemas.config.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.motion import ImuNoiseConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Symmetry, load_target

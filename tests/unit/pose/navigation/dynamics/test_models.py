@@ -20,7 +20,7 @@ from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, tr
 from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, curvature, torque_free
 from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, predict
 from rpod_pose.navigation.filter.rotations import cross_matrix
-from rpod_schemas.config.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import ImuReading

@@ -1,0 +1,90 @@
+"""Scans of a LIDAR, and what the LIDAR says of itself."""
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from rpod_schemas.bounds import (
+    SCAN_DIRECTIONS,
+    SCAN_TIME_S,
+    SIGMA_RANGE_M,
+    AzimuthsRad,
+    ElevationsRad,
+    bounded,
+)
+from rpod_schemas.types.base import Float32Array, Floats, Image
+from rpod_schemas.types.frames import SensorFrame, SensorInfo
+
+
+class LidarScan(SensorFrame):
+    """One scan of a LIDAR."""
+
+    points_m: Floats
+    """Points, m, shape (rows, columns, 3) if organised, else (N, 3); NaN for rays without a return."""
+    intensity: Floats | None = None
+    """Intensities, shape of ``points_m`` without its last axis."""
+    time_s: Floats | None = None
+    """Times from the stamp, s, shape of ``points_m`` without its last axis."""
+    hidden: Image | None = None
+    """Rays of the scan pattern that tell nothing of the target, because a known body is there, bool, shape
+    (rows, columns); None if no body is known."""
+
+    @model_validator(mode="after")
+    def _shapes_agree(self) -> Self:
+        shape = self.points_m.shape
+        if len(shape) not in (2, 3) or shape[-1] != 3:
+            raise ValueError(f"points have shape {shape}, need (rows, columns, 3) or (N, 3)")
+        for name in ("intensity", "time_s"):
+            array = getattr(self, name)
+            if array is not None and array.shape != shape[:-1]:
+                raise ValueError(f"{name} has shape {array.shape}, need {shape[:-1]}")
+        return self
+
+    @property
+    def organised(self) -> bool:
+        """Whether rows and columns of the scan pattern are kept."""
+        return self.points_m.ndim == 3
+
+    @property
+    def grid_m(self) -> Float32Array | None:
+        """Points by row and column, NaN for rays without a return; None if the scan is not organised."""
+        return self.points_m if self.organised else None
+
+    @property
+    def range_image_m(self) -> Float32Array | None:
+        """Range of each ray, 0 without a return; None if the scan is not organised."""
+        if not self.organised:
+            return None
+        range_m = np.linalg.norm(self.points_m, axis=-1)
+        return np.where(np.isfinite(range_m), range_m, 0.0).astype(np.float32)
+
+    @property
+    def returns_m(self) -> Float32Array:
+        """Points that are returns, m, shape (N, 3): finite, and not the origin, which means no return."""
+        points = self.points_m.reshape(-1, 3)
+        return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+
+
+class LidarInfo(SensorInfo):
+    """Info of a LIDAR (LidarInfo.msg)."""
+
+    azimuth_rad: AzimuthsRad
+    """Azimuths of the scan pattern, rad; directions are (sin az cos el, sin el, cos az cos el)."""
+    elevation_rad: ElevationsRad
+    scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
+    rows_are_elevation: bool = True
+    sigma_range_m: Annotated[float, bounded(SIGMA_RANGE_M)]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of a scan."""
+        return self.scan_time_s
+
+    @model_validator(mode="after")
+    def _directions_fit_into_memory(self) -> Self:
+        try:
+            SCAN_DIRECTIONS.check(self.azimuth_rad.size * self.elevation_rad.size)
+        except ValueError as error:
+            raise ValueError(f"number of azimuth_rad x elevation_rad {error}") from error
+        return self

@@ -1,0 +1,1 @@
+"""Acceptance of right and wrong poses in LIDAR scans."""

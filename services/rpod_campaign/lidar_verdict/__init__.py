@@ -1,1 +1,0 @@
-"""Verdicts on right and wrong poses in LIDAR scans."""

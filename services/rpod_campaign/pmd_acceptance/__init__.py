@@ -1,0 +1,1 @@
+"""Acceptance of frames of the target and of other objects."""

@@ -1,0 +1,88 @@
+"""``pmd-acceptance``: right poses that are rejected, and frames of other objects that are accepted."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import polars as pl
+
+from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.statistics import rate
+from rpod_campaign.pmd_acceptance.trial import OFF_DEG, OFF_M, AcceptanceCell
+
+Results = Sequence[CellResult[AcceptanceCell]]
+_JUDGES = ("acquisition", "tracker")
+
+
+def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return the summary of a cell: numbers of trials."""
+    parameters = asdict(cell)
+    del parameters["document"]
+    counts: dict[str, Any] = {}
+    for judge in _JUDGES:
+        accepted, right = rows[f"{judge}_accepted"], rows[f"{judge}_right"]
+        alike = rows[f"{judge}_alike"].fill_null(value=False)
+        counts |= {
+            f"{judge}_accepted": int(accepted.sum()),
+            f"{judge}_accepted_alike": int((accepted & alike).sum()),
+            f"{judge}_right": int(right.sum()),
+            f"{judge}_right_refused": int((right & ~accepted).sum()),
+            f"{judge}_wrong_accepted": int((accepted & ~right).sum()),
+        }
+    counts["ambiguous"] = int(rows["ambiguous"].sum())
+    counts["tracked_after"] = int(rows["tracked_after"].sum())
+    return {**parameters, "spoiled": cell.spoiled, "trials": rows.height, **counts}
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the sections of the report."""
+    note = (
+        "Each trial is one frame with any attitude, any sun, and uncalibrated depth. The acquisition has no "
+        f"guess; the tracker starts with an error of {OFF_DEG:g} deg and {1e2 * OFF_M:g} cm. "
+    )
+    right = [result for result in results if not result.cell.spoiled]
+    spoiled = [result for result in results if result.cell.spoiled]
+    told = "Right: within 4 deg and 8 cm. Ambiguous results are not accepted. 95 % Wilson intervals."
+    alike = (
+        "No pose is right. Alike: at the found pose the target has the same ranges and outline as the actual "
+        "object, within 3 cm, so that only materials and motion can distinguish the two."
+    )
+    return [
+        *([Section("Right frames", note + told, (_right_table(right),))] if right else []),
+        *([Section("Frames of something else", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
+    ]
+
+
+def _right_table(results: Results) -> Table:
+    rows = [
+        (
+            result.cell.case,
+            judge,
+            f"{s['trials'] - s[f'{judge}_accepted']} of {s['trials']}",
+            str(rate(s["trials"] - s[f"{judge}_accepted"], s["trials"])),
+            str(s[f"{judge}_wrong_accepted"]),
+        )
+        for result in results
+        for judge in _JUDGES
+        for s in (result.summary,)
+    ]
+    columns = ("case", "judge", "not accepted", "share", "wrong accepted")
+    return Table("Right frames not accepted", columns, tuple(rows)).condensed(2)
+
+
+def _spoiled_table(results: Results) -> Table:
+    rows = [
+        (
+            result.cell.case,
+            judge,
+            f"{s[f'{judge}_accepted']} of {s['trials']}",
+            str(rate(s[f"{judge}_accepted"], s["trials"])),
+            str(s[f"{judge}_accepted_alike"]),
+        )
+        for result in results
+        for judge in _JUDGES
+        for s in (result.summary,)
+    ]
+    columns = ("case", "judge", "accepted", "share", "of these alike")
+    return Table("Frames of something else accepted", columns, tuple(rows)).condensed(2)

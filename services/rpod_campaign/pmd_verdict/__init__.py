@@ -1,1 +1,0 @@
-"""Verdicts on frames of the target and of other objects."""

@@ -1,0 +1,37 @@
+"""Lines of the check that depend on the sensor's kind; a kind of another package may bring its own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rpod_driver.check import content, plane, setup
+from rpod_driver.check.observations import Observations
+from rpod_driver.check.result import CheckResult
+from rpod_schemas.registry import resolve
+from rpod_schemas.sensors import sensor_kind
+
+
+@dataclass(frozen=True)
+class KindChecks:
+    """What is checked of the sensors of one kind beside what is checked of all."""
+
+    lines: tuple[Callable[[Observations], CheckResult], ...] = (setup.mirrored,)
+    """Functions that return a line each, in the order of the catalogue."""
+    farthest_m: float = 1000.0
+    """Greatest plausible median distance, m: no flash camera and no scanner sees a target beyond it."""
+    why: str = "no scanner of a facility sees farther"
+    """Reason for it."""
+
+
+LIDAR_CHECKS = KindChecks((setup.grid, setup.axes, setup.point_times))
+PMD_CHECKS = KindChecks(
+    (setup.mirrored, content.values, content.saturation, plane.depth_model, setup.lens),
+    farthest_m=100.0,
+    why="no camera with a lamp sees farther",
+)
+
+
+def checks_of(kind: str) -> KindChecks:
+    """Return the checks of a kind, those of any sensor for a kind that names none."""
+    reference = sensor_kind(kind).checks
+    checks: KindChecks = resolve(reference) if reference else KindChecks()
+    return checks

@@ -1,0 +1,1 @@
+"""What the estimator hears: frames, poses of known bodies, the IMU; and which of it was used."""

@@ -1,0 +1,194 @@
+"""Book of the estimator's inputs: which frames of each sensor were used, and why the others were not.
+
+It knows neither bus nor clock; times are seconds of one monotonic clock. Its memory is bounded.
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from statistics import median
+from typing import NamedTuple
+
+from rpod_runtime.assembler import GivenUp
+from rpod_schemas.errors import Reason
+from rpod_schemas.texts import without_figures
+from rpod_schemas.types import Health, SensorSync
+
+WINDOW_S = 2.0
+"""Time span of the frames that are checked."""
+LEAST_FRAMES = 3
+"""Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
+PERIODS = 3.0
+"""Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
+AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
+"""Kinds of losses that are told with the first frame: the sensor is not set up as it was."""
+DOUBTFUL_SHARE = 0.125
+"""Share of the recent frames that support the pose too little, above which it is told: as that above which
+the navigator begins no track."""
+UNPAIRED, REJECTED = "unpaired", "rejected"
+"""Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
+
+
+class Loss(NamedTuple):
+    """Why a frame was not used."""
+
+    kind: str
+    """A ``Reason``, ``UNPAIRED`` or ``REJECTED``."""
+    text: str
+    """Reason with its figures and the remedy."""
+
+
+class InputState(NamedTuple):
+    """Health of an input."""
+
+    level: Health
+    text: str
+    """Description for the operator with figures and remedy; empty if there is nothing to tell."""
+
+
+OK = InputState(Health.OK, "")
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    time_s: float
+    loss: Loss | None
+    doubt: str = ""
+
+
+class SensorBook:
+    """Book of one sensor; ``leading`` is the part that its frames are counted by."""
+
+    def __init__(self, name: str, leading: str, *, now_s: float) -> None:
+        self.name, self._leading = name, leading
+        self.used = 0
+        """Number of frames whose measurement was accepted."""
+        self.lost: Counter[str] = Counter()
+        """Number of frames that were not used, by kind of loss."""
+        self.examples: dict[str, str] = {}
+        """Last loss of each kind, in words."""
+        self.repeats = 0
+        """Number of its newest frames that are identical to the one before them."""
+        self.defect = ""
+        """Defect of its newest frame although it can be used; empty if there is none."""
+        self.sync = SensorSync()
+        """How the sensor keeps time, by its driver."""
+        self._recent: deque[_Frame] = deque(maxlen=1024)
+        self._gaps_s: deque[float] = deque(maxlen=9)
+        self._heard_s: float | None = None
+        self._since_s = now_s
+        self._others_s = -WINDOW_S
+        self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
+
+    def note_arrival(self, now_s: float) -> None:
+        """Note that the leading part of a frame came."""
+        if self._heard_s is None or now_s - self._heard_s > self._silent_after_s:
+            self._since_s = now_s
+            self._recent.clear()
+        if self._heard_s is not None:
+            self._gaps_s.append(max(now_s - self._heard_s, 0.0))
+        self._heard_s = now_s
+
+    def use(self, now_s: float, doubt: str = "") -> None:
+        """Count a frame that was used, and why it supports its pose too little, if it does."""
+        self.used += 1
+        self._recent.append(_Frame(now_s, None, doubt))
+
+    def lose(self, loss: Loss, now_s: float) -> None:
+        """Count a frame that was not used."""
+        self.lost[loss.kind] += 1
+        self.examples[loss.kind] = loss.text
+        self._recent.append(_Frame(now_s, loss))
+
+    def note_others(self, now_s: float, unused: str = "") -> None:
+        """Note that parts of a frame came without the leading one; ``unused``: why they are of no frame."""
+        self._others_s = now_s
+        if unused:
+            self._unused.append((now_s, unused))
+
+    @property
+    def _silent_after_s(self) -> float:
+        return max(WINDOW_S, PERIODS * median(self._gaps_s or [0.0]))
+
+    def state(self, now_s: float) -> InputState:
+        """Return the health: WARN if more than half of the recent frames were not used, ERROR if none was."""
+        silent_s = now_s - (self._since_s if self._heard_s is None else self._heard_s)
+        if silent_s > self._silent_after_s:
+            others = now_s - self._others_s <= WINDOW_S
+            return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")
+        while len(self._recent) > LEAST_FRAMES and now_s - self._recent[0].time_s > WINDOW_S:
+            self._recent.popleft()
+        newest = self._recent[-1].loss if self._recent else None
+        if newest is not None and newest.kind in AT_ONCE:
+            return InputState(Health.ERROR, f"{self.name}: {newest.text}")
+        losses = [frame.loss for frame in self._recent if frame.loss is not None]
+        frames = len(self._recent)
+        if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
+            return self._doubtful(now_s)
+        (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
+        latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
+        how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
+        level = Health.ERROR if len(losses) == frames else Health.WARN
+        past_s = now_s - self._recent[0].time_s
+        looks = f"; 'rpod driver check {self.name}' looks for errors of the sensor"
+        text = latest.text + looks * (level == Health.ERROR and latest.kind == REJECTED)
+        return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
+
+    def _doubtful(self, now_s: float) -> InputState:
+        if self.sync.ptp == "unlocked":
+            offset_s = self.sync.ptp_offset_s
+            offset = "" if offset_s is None else f", it is {offset_s:.6f} s off"
+            return InputState(
+                Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
+            )
+        if self.defect:
+            return InputState(Health.WARN, f"{self.name}: {self.defect}")
+        unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
+        if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
+            return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
+        doubts = [frame.doubt for frame in self._recent if frame.doubt]
+        if len(doubts) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
+            return InputState(
+                Health.WARN,
+                f"{self.name}: {len(doubts)} of {len(self._recent)} frames support the pose too little: "
+                f"{doubts[-1]}; a quarter of such frames ends a track, an eighth lets none begin; "
+                "compare model and target (shape, materials), and look at lens and exposure",
+            )
+        if self.repeats < LEAST_FRAMES:
+            return OK
+        text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
+        return InputState(Health.WARN, text)
+
+    def _silence(self, silent_s: float, *, others: bool) -> str:
+        if others:
+            return (
+                f"no {self._leading} for {silent_s:.0f} s, only other parts of its frames; look at its driver"
+            )
+        if self._heard_s is None:
+            return f"no frame yet in {silent_s:.0f} s; is its driver running, under this name?"
+        return f"no frame for {silent_s:.0f} s; look at its driver"
+
+
+def unpaired(frame: GivenUp, leading: str) -> Loss:
+    """Return why a frame of which only parts came was not used."""
+    if not frame.lacks:
+        return Loss(UNPAIRED, f"its {leading} came behind that of a newer frame; look at the network")
+    lacks = " and ".join(_lack(part, step_ns) for part, step_ns in frame.lacks.items())
+    return Loss(UNPAIRED, f"{leading} without {lacks}")
+
+
+def unused(frame: GivenUp, leading: str) -> str:
+    """Return why parts that came without the leading one belong to no frame; empty if they are only late."""
+    step_ns = frame.lacks.get(leading)
+    if not step_ns:
+        return ""
+    return f"{' and '.join(sorted(frame.parts))} is not used, without {_lack(leading, step_ns)}"
+
+
+def _lack(part: str, step_ns: int | None) -> str:
+    if step_ns is None:
+        return f"{part}, which does not come at all: let the driver publish it"
+    when = "later" if step_ns > 0 else "earlier"
+    return (
+        f"{part}: the nearest one is stamped {abs(step_ns) * 1e-6:.3f} ms {when}; give all parts of a frame "
+        "the same stamp, or set source.pair_within_s of the sensor"
+    )

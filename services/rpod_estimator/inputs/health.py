@@ -1,0 +1,141 @@
+"""Tells the operator of inputs that are not used: in diagnostics, and each minute in the log."""
+
+import logging
+
+from pydantic import ValidationError
+
+from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.inputs.book import OK, REJECTED, InputState, Loss, SensorBook, unpaired, unused
+from rpod_pose.navigation.first_pose.searches import RESTING, WAITS
+from rpod_pose.navigation.state import Output
+from rpod_runtime.assembler import GivenUp
+from rpod_runtime.delivery.holders import Peer
+from rpod_runtime.health import HealthBook
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.texts import without_figures
+from rpod_schemas.types import Diagnostic, Health, Mode, SensorSync
+
+log = logging.getLogger(__name__)
+
+REMIND_S = 60.0
+"""Time after which a state that is not OK is written to the log again."""
+_PERIOD_S = 1.0
+"""Time between two updates of the diagnostics."""
+
+
+class InputHealth:
+    """Health of all inputs of the estimator.
+
+    Args:
+        health: book in which the diagnostics are kept.
+        leading: leading part of each sensor's frames, by sensor.
+        now_s: time, s, of the monotonic clock, as in all methods.
+    """
+
+    def __init__(self, health: HealthBook, leading: dict[str, str], *, now_s: float) -> None:
+        self._health, self._leading = health, leading
+        self.books = {sensor: SensorBook(sensor, part, now_s=now_s) for sensor, part in leading.items()}
+        self._told: dict[str, tuple[InputState, float]] = {}
+        self._next_s = now_s
+        self._state = OK
+        self._pause_s = 0.0
+        self._rival_topics: set[str] = set()
+        self.rivals: list[tuple[str, Peer, Peer]] = []
+        """Publishers beside the one that is used: topic, the one that is used, the other one."""
+
+    def judge(self, arrived: Arrived, output: Output, now_s: float) -> None:
+        """Note what became of a frame."""
+        book, status = self.books[arrived.sensor], output.status
+        if arrived.refused == Reason.SECOND_PUBLISHER:
+            return  # told of as a rival
+        if status.reason.startswith(WAITS):  # the frame in which nothing is found is told of
+            return
+        if status.reason == RESTING:
+            self._health.count(f"dropped/{arrived.sensor}")
+            return
+        book.repeats, book.defect = arrived.repeats, arrived.defect
+        if status.accepted:
+            book.use(now_s, output.doubt)
+        else:
+            found = status.reason.partition(f"; {WAITS}")[0]  # another search has begun, which is no reason
+            book.lose(Loss(arrived.refused or REJECTED, found), now_s)
+
+    def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
+        """Note a frame that never became complete."""
+        leading, book = self._leading[sensor], self.books[sensor]
+        if leading in frame.parts:
+            book.lose(unpaired(frame, leading), now_s)
+        else:
+            book.note_others(now_s, unused(frame, leading))
+
+    def rest(self, pause_s: float) -> None:
+        """Note how long searches rest."""
+        self._pause_s = pause_s
+
+    def take_diagnostic(self, diagnostic: Diagnostic) -> None:
+        """Repeat what a driver says of how a sensor keeps time. Raises ``MessageRejectedError``."""
+        for sensor, book in self.books.items():
+            try:
+                sync = SensorSync.read(sensor, diagnostic.values)
+            except ValidationError as error:
+                problem = error.errors(include_url=False)[0]
+                text = f"sync/{sensor}/{problem['loc'][0]} of {diagnostic.name}: {problem['msg']}"
+                raise MessageRejectedError(Reason.MALFORMED, text) from error
+            if sync is not None:
+                book.sync = sync
+                for name, value in sync.values(sensor).items():
+                    self._health.tell(name, value)
+
+    def report(self, mode: Mode, now_s: float) -> None:
+        """Write level, message and counters into the diagnostics; log what is not used."""
+        if now_s >= self._next_s:
+            self._next_s = now_s + _PERIOD_S
+            self._state = self._update(now_s)
+        level = max(self._state.level, Health.WARN if mode in (Mode.LOST, Mode.COASTING) else Health.OK)
+        self._health.report(level, "; ".join(filter(None, (mode.name.lower(), self._state.text))))
+
+    def _update(self, now_s: float) -> InputState:
+        states = []
+        for sensor, book in self.books.items():
+            self._health.put(f"inputs/{sensor}/used", book.used)
+            for kind, frames in book.lost.items():
+                self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)
+                self._health.tell(f"input/{sensor}/{kind}", book.examples[kind])
+            state = book.state(now_s)
+            self._log(sensor, state, now_s)
+            states.append(state)
+        rivals = self._rivals_state()
+        self._log("publishers", rivals, now_s)
+        states.append(rivals)
+        if self._pause_s:
+            states.append(InputState(Health.OK, f"searches rest: one frame in {self._pause_s:.1f} s"))
+        text = "; ".join(state.text for state in states if state.text)
+        return InputState(max(state.level for state in states), text)
+
+    def _rivals_state(self) -> InputState:
+        for topic in {name for name, *_ in self.rivals}.symmetric_difference(self._rival_topics):
+            self._health.tell(f"publishers/{topic}", "")
+        self._rival_topics = {name for name, *_ in self.rivals}
+        for topic, used, other in self.rivals:
+            self._health.tell(f"publishers/{topic}", f"{used} is used, {other} is not")
+        if not self.rivals:
+            return OK
+        topic, used, other = self.rivals[0]
+        more = f" and {len(self.rivals) - 1} more topics" if len(self.rivals) > 1 else ""
+        return InputState(
+            Health.WARN,
+            f"two publishers on {topic}{more}: {used} is used, {other} is not; stop one of them, or `reset` "
+            "with keep_gid of the one to keep",
+        )
+
+    def _log(self, name: str, state: InputState, now_s: float) -> None:
+        """Write a line when a state changes in more than its figures, and each minute while it is not OK."""
+        before, told_s = self._told.get(name, (OK, now_s))
+        is_same = (state.level, without_figures(state.text)) == (before.level, without_figures(before.text))
+        if is_same and (state.level == Health.OK or now_s - told_s < REMIND_S):
+            return
+        self._told[name] = state, now_s
+        if state.level == Health.OK:
+            log.info("%s: in order again", name)
+        else:
+            log.log(logging.ERROR if state.level == Health.ERROR else logging.WARNING, "%s", state.text)

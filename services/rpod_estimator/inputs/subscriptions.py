@@ -1,0 +1,226 @@
+"""Subscriptions of the estimator: they check the age of messages and keep the newest complete frame.
+
+The estimator subscribes to sensors, ``tf_static``, diagnostics and the clock only, never to the truth.
+"""
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from queue import SimpleQueue
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_estimator.inputs.health import InputHealth
+from rpod_runtime import BusClock, Inbox, Node, Received
+from rpod_runtime.assembler import Assembled, NewestFrames
+from rpod_runtime.delivery.holders import Holders, SecondPublisherError
+from rpod_runtime.errors import RefusedError
+from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
+from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.control import ResetRequest
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages import NANOSECONDS, read_diagnostics
+from rpod_schemas.topics import DIAGNOSTICS, Topic
+
+_WAITING_PARTS = 512
+"""Largest number of parts between the bus and the assembler; about 200 MB of images."""
+_CLOCK_LAG_S = 0.2
+"""Longest time that a clock message may arrive after a frame that was published later."""
+
+
+class Subscriptions:
+    """Receives all messages of the estimator and hands out frames."""
+
+    def __init__(self, node: Node, config: EstimatorConfig) -> None:
+        self._node, self._config = node, config
+        self._in_lockstep = config.time_source == "clock"
+        self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
+        self._reader = FrameReader(config.sensors)
+        self._newest: NewestFrames[Received] = NewestFrames()
+        self._refused: deque[Arrived] = deque()
+        self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
+        self.heard_until_s = time.monotonic()
+        """Time up to which all that arrived has been taken in, monotonic clock."""
+        self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
+        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
+        self._resets: SimpleQueue[str] = SimpleQueue()
+        self._lock = Lock()
+        node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
+        for topic in self._reader.latched:
+            node.subscribe(topic, self._latched.put)
+        node.subscribe(DIAGNOSTICS, self._latched.put)
+        for topic in self._reader.streams:
+            # A live message that was missed would be too old when it is recovered; in lockstep all services
+            # wait.
+            lasting = self._reader.lasting(topic)
+            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep, history=lasting)
+
+    @property
+    def infos(self) -> Mapping[str, Any]:
+        """Info that each sensor has published of itself, by sensor name; None where there is none."""
+        return self._reader.infos
+
+    def pin(self, pinned: bool) -> None:
+        """Require of sensors that they stay set up as they are, or not."""
+        self._reader.pinned = pinned
+
+    def request_reset(self, request: ResetRequest) -> None:
+        """Let the next valid publishers hold their topics, or those of the session of ``keep_gid``.
+
+        Raises:
+            RefusedError: no publisher has this gid.
+        """
+        if request.keep_gid is None:
+            self._resets.put("")
+            return
+        with self._lock:
+            peers = {*self._holders.peers, *self._reader.peers}
+        found = [peer for peer in peers if peer.gid.hex() == request.keep_gid]
+        if not found or not found[0].session:
+            known = ", ".join(sorted(map(str, peers))) or "none"
+            raise RefusedError(
+                f"keep_gid: no publisher with this gid and a session is known; known are {known}"
+            )
+        self._resets.put(found[0].session)
+
+    def newest(self, timeout_s: float) -> Arrived | None:
+        """Return the newest complete frame with the oldest stamp over all sensors; None after the timeout.
+
+        Frames that were refused for their stamps come first, each with its reason.
+        """
+        self._take_in(0.0 if self._newest or self._refused else timeout_s)
+        return self._next()
+
+    def rest(self) -> Iterator[Arrived]:
+        """Yield the waiting frames: the refused ones first, then the newest complete frame of each sensor."""
+        self._take_in(0.0)
+        while (arrived := self._next()) is not None:
+            yield arrived
+
+    def _take_in(self, timeout_s: float) -> None:
+        parts = self._waiting.wait(timeout_s)
+        self.heard_until_s = time.monotonic()
+        with self._lock:
+            self._take_all(parts)
+        if timeout_s and not parts and not self._in_lockstep:
+            for sensor, assembler in self._reader.assemblers.items():
+                self._put(sensor, assembler.release())
+        self._node.health.put("overflowed/inbox", self._waiting.overflowed)
+
+    def _take_all(self, parts: list[Received]) -> None:
+        while not self._gone.empty():
+            session, topic = self._gone.get()
+            self._holders.leave(topic.name, session)
+            if topic in self._reader.latched:
+                self._reader.leave(session, topic)
+        while not self._resets.empty():
+            keep = self._resets.get()
+            self._holders.release(keep=keep, now_s=time.monotonic())
+            self._reader.forget(keep=keep)
+        for received in self._latched.wait(0.0) + parts:
+            try:
+                self._take(received)
+            except MessageRejectedError as error:
+                self._node.reject(received.topic.name, error)
+        self.health.rivals = [*self._holders.rivals(time.monotonic()), *self._reader.rivals]
+
+    def _next(self) -> Arrived | None:
+        if self._refused:
+            return self._refused.popleft()
+        chosen = self._newest.take()
+        with self._lock:
+            return self._arrived(*chosen) if chosen else None
+
+    def _take(self, received: Received) -> None:
+        if received.topic.name in self._reader.parts:
+            self._take_part(received)
+        elif received.topic.name == DIAGNOSTICS.name:
+            for diagnostic in read_diagnostics(received.decode()):
+                if diagnostic.name != self._config.instance:  # which repeats what drivers say
+                    self.health.take_diagnostic(diagnostic)
+        else:
+            self._reader.learn(received)
+
+    def _take_part(self, received: Received) -> None:
+        sensor, part = self._reader.parts[received.topic.name]
+        assembler = self._reader.assemblers[sensor]
+        stamp_ns = self._reader.stamp_ns(sensor, received)
+        leads = part == self._reader.leading[sensor]
+        if leads and not self._in_lockstep:
+            self._watch(sensor, stamp_ns, received.arrival_ns)
+        try:
+            if part not in assembler.lasting:
+                self._check_freshness(received, stamp_ns)
+            if stamp_ns == assembler.done_ns and part in assembler.required:
+                raise MessageRejectedError(
+                    Reason.DUPLICATE,
+                    f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or "
+                    "gives two frames one stamp",
+                )
+        except MessageRejectedError as error:
+            if leads:
+                self.health.books[sensor].note_arrival(received.arrival_s)
+                refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
+                self._refused.append(refused)
+                assembler.refuse(stamp_ns)
+            raise
+        self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+        if leads:
+            self.health.books[sensor].note_arrival(received.arrival_s)
+        self._put(sensor, assembler.add(part, stamp_ns, received))
+        for frame in assembler.take_given_up():
+            self.health.give_up(sensor, frame, received.arrival_s)
+        self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
+        watch = self._watches[sensor]
+        watch.add(stamp_ns, arrival_ns)
+        self._node.health.measure(f"stamp_age_s/{sensor}", watch.age_s)
+        if np.isfinite(watch.drift_ppm):
+            self._node.health.measure(f"clock_drift_ppm/{sensor}", watch.drift_ppm)
+
+    def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
+        for frame in frames:
+            if self._newest.put(sensor, frame):
+                self._node.health.count(f"dropped/{sensor}")
+
+    def _check_freshness(self, received: Received, stamp_ns: int) -> None:
+        """Check a stamp against the time of arrival: the estimator's own delay does not count."""
+        now_ns, clock = received.arrival_ns, self._node.clock
+        if isinstance(clock, BusClock):
+            clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
+            now_ns = clock.now_ns()
+        age_s = (now_ns - stamp_ns) / NANOSECONDS
+        if age_s > self._config.max_age_s:
+            raise MessageRejectedError(
+                Reason.LATE,
+                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {clock_hint(-age_s, stamp_ns)}",
+            )
+        if age_s < -self._config.max_future_s:
+            raise MessageRejectedError(
+                Reason.FUTURE,
+                f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
+                f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
+            )
+
+    def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
+        arrival_s = max(part.arrival_s for part in frame.parts.values())
+        try:
+            for part in frame.parts.values():
+                self._holders.check(part.topic.name, part.peer, part.arrival_s)
+            arrived = self._reader.arrived(sensor, frame, arrival_s)
+            session = frame.parts[self._reader.leading[sensor]].session
+            for part in frame.parts.values():
+                # A part that lasts is as new as the frames of its own session.
+                now_s = arrival_s if part.session == session else part.arrival_s
+                self._holders.hold(part.topic.name, part.peer, now_s)
+        except SecondPublisherError as error:
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
+        except PartRejectedError as error:
+            self._node.reject(error.topic, error)
+            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
+        return arrived

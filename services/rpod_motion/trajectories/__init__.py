@@ -1,0 +1,1 @@
+"""Trajectories of the chaser: approaches, orbits, and turns with the target."""

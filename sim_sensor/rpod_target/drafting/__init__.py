@@ -1,0 +1,1 @@
+"""Drafting of a parameter file from a CAD file."""

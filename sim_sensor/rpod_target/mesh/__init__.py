@@ -1,0 +1,1 @@
+"""Triangles of CAD files: readers, repair, simplification and topology."""

@@ -1,0 +1,299 @@
+"""Reader of CAD and mesh files: STL, OBJ, PLY, glTF, GLB, and STEP where the extra ``step`` is installed.
+
+Files are read by trimesh, without any cleaning: every triangle of the file is returned, also those of zero
+area, which a closed surface needs.
+"""
+
+import io
+import json
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target.mesh import obj_text
+from rpod_target.mesh.topology import areas_m2
+from rpod_target.mesh.unusable import unusable, without_faces
+
+FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
+"""Suffixes of the files that can be read."""
+METRIC = (".gltf", ".glb", ".step", ".stp")
+"""Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
+_STEP = (".step", ".stp")
+
+
+@dataclass(frozen=True)
+class FileMaterial:
+    """A material of a mesh file, as far as the file describes it."""
+
+    name: str
+    colour: tuple[float, float, float] | None
+    """Diffuse colour as a screen shows it (sRGB), red, green, blue, 0 to 1; None if the file has none."""
+    specular: float | None
+    """Mean specular colour, 0 to 1 (OBJ); None if the file has none."""
+    metallic: float | None
+    """Share of metal, 0 to 1 (glTF); None if the file has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFile:
+    """The triangles of a file, in its own unit."""
+
+    triangles: FloatArray
+    """Corners, shape (T, 3, 3), as the file has them."""
+    triangle_object: NDArray[np.int64]
+    """Index into ``objects``, shape (T,)."""
+    objects: tuple[str, ...]
+    """Names of the objects: of OBJ the ``o`` or ``g`` lines, of glTF and STEP the nodes."""
+    triangle_material: NDArray[np.int64]
+    """Index into ``materials``, shape (T,); -1 for a triangle without one."""
+    materials: tuple[FileMaterial, ...]
+
+
+def companions(name: str, content: bytes) -> tuple[str, ...]:
+    """Return the names of the files that a mesh file refers to and that are read with it."""
+    suffix = _suffix(name)
+    if suffix == ".obj":
+        return obj_text.libraries(content)
+    if suffix == ".gltf":
+        try:
+            buffers = json.loads(content)["buffers"]
+            names = [str(entry.get("uri", "")) for entry in buffers]
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+            return ()  # its reader refuses what is no glTF
+        return tuple(uri for uri in names if uri and not uri.startswith("data:"))
+    return ()
+
+
+def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> MeshFile:
+    """Return the content of a mesh file.
+
+    Args:
+        name: name of the file; its suffix gives the format.
+        content: bytes of the file.
+        beside: bytes of its companions that exist, by name; other names are ignored.
+
+    Raises:
+        ValueError: the content is wrong; the text continues a sentence that begins with the file's name.
+    """
+    suffix, folder = _suffix(name), PurePosixPath(name).parent
+    beside = {
+        other: beside[str(folder / other)]
+        for other in companions(name, content)
+        if str(folder / other) in beside
+    }
+    if suffix not in FORMATS:
+        raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
+    if reason := unusable(suffix, content):
+        raise ValueError(reason)
+    if suffix == ".obj":
+        content, beside = obj_text.prepared(content, beside)
+    scene = _scene(suffix, content, beside)
+    pieces = list(_pieces(scene))
+    if not pieces:
+        raise ValueError(without_faces(list(scene.geometry.values())))
+    if suffix == ".obj":
+        pieces.reverse()  # the reader returns them from the last to the first
+    materials = tuple({piece.material.name: piece.material for piece in pieces if piece.material}.values())
+    objects = tuple(dict.fromkeys(piece.name for piece in pieces))
+    numbers = {material.name: number for number, material in enumerate(materials)}
+    counts = [len(piece.triangles) for piece in pieces]
+    mesh = MeshFile(
+        np.concatenate([piece.triangles for piece in pieces]),
+        np.repeat([objects.index(piece.name) for piece in pieces], counts),
+        objects,
+        np.repeat([numbers[piece.material.name] if piece.material else -1 for piece in pieces], counts),
+        materials,
+    )
+    if not np.isfinite(mesh.triangles).all():
+        raise ValueError("contains a coordinate that is not finite: export it again")
+    return mesh
+
+
+def surface_m(path: Path, metres_per_unit: float) -> FloatArray:
+    """Return the triangles of a file that have an area, shape (T, 3, 3), m.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: its content is wrong.
+    """
+    content = path.read_bytes()
+    names = [name for name in companions(path.name, content) if (path.parent / name).is_file()]
+    beside = {name: (path.parent / name).read_bytes() for name in names}
+    triangles_m = metres_per_unit * read_mesh_file(path.name, content, beside).triangles
+    return triangles_m[areas_m2(triangles_m) > 0.0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    name: str
+    triangles: FloatArray
+    material: FileMaterial | None
+
+
+class _Beside:
+    """Gives trimesh the companions of a file, and nothing else of the disk or of the network."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        self._files = files
+        self.missing = ""
+        """Name of a file that was asked for and is not among them."""
+
+    def get(self, name: str) -> bytes:
+        """Return the bytes of a companion. Raises ``OSError``."""
+        found = self._files.get(str(name))
+        if found is None:
+            self.missing = str(name)
+            raise FileNotFoundError(name)
+        return found
+
+    __getitem__ = get
+
+
+def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
+    import trimesh  # noqa: PLC0415 - only a build reads meshes
+
+    if suffix in _STEP:
+        try:
+            import cascadio  # noqa: F401, PLC0415
+        except ImportError as error:
+            raise ValueError("is STEP, which needs the extra: pip install 'rpod[step]'") from error
+    options: dict[str, Any] = {}
+    if suffix == ".obj":
+        options["split_objects"] = obj_text.has_objects(content)
+        options["split_groups"] = not options["split_objects"]
+    if suffix in _STEP:
+        options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
+    others = _Beside(beside)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return trimesh.load_scene(
+                io.BytesIO(content),
+                file_type=suffix[1:],
+                resolver=others,  # type: ignore[arg-type]
+                process=False,
+                maintain_order=True,
+                **options,
+            )
+    except FileNotFoundError as error:
+        if not others.missing:
+            raise ValueError(_unread(suffix, error)) from error
+        reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
+        raise ValueError(reason) from error
+    except IndexError as error:
+        raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
+    except Exception as error:  # a parser of foreign files raises anything
+        raise ValueError(_unread(suffix, error)) from error
+
+
+_STEP_DEFLECTION = 0.001
+"""Greatest distance of a triangle from a curved STEP surface, as a share of an edge's length."""
+_STEP_ANGLE_RAD = 0.2
+"""Greatest angle between neighbouring segments of a curved STEP edge."""
+
+
+def _pieces(scene: Any) -> Iterator[_Piece]:
+    """Yield the triangles of each node of a scene, placed by the node's transform."""
+    order = {name: number for number, name in enumerate(scene.geometry)}
+    nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]  # in no order
+    for transform, name, node in sorted(nodes, key=lambda entry: (order[entry[1]], str(entry[2]))):
+        geometry = scene.geometry[name]
+        faces = getattr(geometry, "faces", None)
+        if faces is None or not len(faces):
+            continue
+        corners = np.asarray(geometry.vertices, np.float64)
+        triangles = corners[np.asarray(faces, np.int64)]
+        if not np.array_equal(transform, np.eye(4)):
+            triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
+            if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirrored copy
+                triangles = triangles[:, ::-1]
+        yield from _by_material(str(node), triangles, geometry)
+
+
+def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_Piece]:
+    """Yield a node's triangles, split by the face colours that PLY files have."""
+    visual = geometry.visual
+    if getattr(visual, "kind", None) in {"face", "vertex"}:
+        colours, of_face = np.unique(np.asarray(visual.face_colors)[:, :3], axis=0, return_inverse=True)
+        if len(colours) <= _MOST_COLOURS:
+            for number, colour in enumerate(colours):
+                red, green, blue = (float(value) / 255.0 for value in colour)
+                label = "colour-" + "".join(f"{int(value):02x}" for value in colour)
+                painted = FileMaterial(label, (red, green, blue), None, None)
+                yield _Piece(name, triangles[of_face.ravel() == number], painted)
+            return
+    material = getattr(visual, "material", None)
+    found = None if material is None or not getattr(material, "name", None) else _material(material)
+    yield _Piece(name if found is None else _without_material(name, found.name), triangles, found)
+
+
+def _without_material(name: str, material: str) -> str:
+    """Return an object's name without that of the material, which the OBJ reader appends."""
+    if name == material:
+        return _NAMELESS
+    while name.endswith(f"_{material}"):
+        name = name.removesuffix(f"_{material}")
+    return name
+
+
+_NAMELESS = "mesh"
+"""Name of the object of a file that names none."""
+_MOST_COLOURS = 16
+"""Greatest number of colours of a mesh that count as materials: with more, they are a texture."""
+
+
+def _material(material: Any) -> FileMaterial:
+    factor = getattr(material, "baseColorFactor", None)
+    if hasattr(material, "baseColorFactor"):
+        metallic = getattr(material, "metallicFactor", None)
+        colour = _as_shown(_colour(factor))
+        return FileMaterial(str(material.name), colour, None, None if metallic is None else float(metallic))
+    known = getattr(material, "kwargs", {}) or {}
+    described = "kd" in known
+    specular = getattr(material, "specular", None)
+    return FileMaterial(
+        str(material.name),
+        _colour(getattr(material, "diffuse", None)) if described else None,
+        float(np.mean(np.asarray(specular)[:3]) / 255.0) if "ks" in known and specular is not None else None,
+        None,
+    )
+
+
+def _colour(values: Any) -> tuple[float, float, float] | None:
+    if values is None:
+        return None
+    array = np.asarray(values, np.float64)[:3]
+    if np.asarray(values).dtype.kind in "iu":
+        array /= 255.0
+    red, green, blue = (float(value) for value in np.clip(array, 0.0, 1.0))
+    return red, green, blue
+
+
+def _as_shown(linear: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    """Return a linear colour, which glTF has, as sRGB (IEC 61966-2-1), which people choose colours in."""
+    if linear is None:
+        return None
+    red, green, blue = (
+        12.92 * value if value <= 0.0031308 else 1.055 * value ** (1.0 / 2.4) - 0.055 for value in linear
+    )
+    return red, green, blue
+
+
+def _suffix(name: str) -> str:
+    return PurePosixPath(name).suffix.lower()
+
+
+def _unread(suffix: str, error: BaseException) -> str:
+    others = ", ".join(other for other in FORMATS[:4] if other != suffix)
+    name = suffix[1:].upper()
+    return f"cannot be read as {name} ({_one_line(error)}): export it again, or in another format ({others})"
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,106 @@
+"""The text of an OBJ file as its reader, trimesh, needs it.
+
+The reader forgets the name of a material that no library defines, splits corners by their texture and normal
+indices, splits polygons as fans, and counts negative indices from the end of the file. So each of these is
+replaced in the text before; the reader does the rest.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+
+import numpy as np
+
+from rpod_schemas.arrays import FloatArray
+from rpod_target.mesh.polygons import concave, triangulated
+from rpod_target.mesh.topology import Indices
+
+_USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
+_LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
+_DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
+_OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
+_TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
+_FACES = re.compile(rb"(?:^[ \t]*+f[ \t][^\n]*+(?:\n|\Z)){1,65536}+", re.MULTILINE)
+_POLYGON = re.compile(rb"^[ \t]*+f(?:[ \t]++[^\s#]++){4}", re.MULTILINE)
+_AFTER_SLASH = re.compile(rb"/[-0-9/]*")
+_CORNER = re.compile(rb"^[ \t]*+v[ \t]++(\S++)[ \t]++(\S++)[ \t]++(\S++)", re.MULTILINE)
+_OWN_LIBRARY = "materials.mtl"
+NO_CORNER = "has a face with a corner that is not in the file: export it again"
+"""Why a file is refused whose faces count beyond its corners."""
+
+
+def libraries(content: bytes) -> tuple[str, ...]:
+    """Return the names of the material libraries of a file."""
+    found = _LIBRARY.findall(content) if b"mtllib" in content else []  # a search takes a second of 200 MB
+    return tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in found))
+
+
+def has_objects(content: bytes) -> bool:
+    """Return whether a file has ``o`` lines."""
+    return _OBJECT.search(content) is not None
+
+
+def prepared(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[str, bytes]]:
+    """Return the text of a file, and one library in which each used material is defined, without textures.
+
+    Raises:
+        ValueError: a face names a corner that is not there.
+    """
+    if b"\\\n" in content or b"\\\r\n" in content:
+        content = re.sub(rb"\\\r?\n", b" ", content)
+    library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
+    defined = set(_DEFINED.findall(library))
+    used = _USED.findall(content) if b"usemtl" in content else []
+    missing = [name for name in dict.fromkeys(used) if name not in defined]
+    library += b"".join(b"\nnewmtl " + name + b"\n" for name in missing)
+    faces = _Faces(content)
+    body = _FACES.sub(faces.plain, content)
+    if b"mtllib" in content:
+        body = _LIBRARY.sub(b"", body)
+    return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
+
+
+class _Faces:
+    """Replaces what the reader cannot read in the face lines of a file."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+
+    @cached_property
+    def _corners(self) -> tuple[Indices, FloatArray]:
+        """Return where the lines of corners begin, shape (C,), and the corners, shape (C, 3)."""
+        begins, values = [], []
+        for found in _CORNER.finditer(self._content):
+            begins.append(found.start())
+            values.append(found.groups())
+        return np.array(begins, np.int64), np.array(values).astype(np.float64).reshape(-1, 3)
+
+    def plain(self, found: re.Match[bytes]) -> bytes:
+        """Return lines of faces with positive indices of corners alone, and without concave polygons."""
+        lines = found[0]
+        if b"/" in lines:
+            lines = _AFTER_SLASH.sub(b"", lines)
+        if b"-" not in lines and _POLYGON.search(lines) is None:
+            return lines
+        return b"\n".join(self._split(lines, found.start())) + b"\n"
+
+    def _split(self, lines: bytes, begin: int) -> Iterator[bytes]:
+        faces = [line.partition(b"#")[0].split()[1:] for line in lines.splitlines()]
+        begins, places = self._corners
+        before = int(np.searchsorted(begins, begin))
+        counts = np.array([len(face) for face in faces])
+        for count in np.unique(counts[counts > 2]):
+            index = np.array([face for face in faces if len(face) == count]).astype(np.int64)
+            index = np.where(index < 0, index + before, index - 1)
+            if index.min() < 0 or index.max() >= len(places):
+                raise ValueError(NO_CORNER)
+            yield from _lines(index, places)
+
+
+def _lines(index: Indices, places: FloatArray) -> Iterator[bytes]:
+    """Yield the lines of polygons, indices (P, N) from 0; concave ones as triangles."""
+    split = concave(places[index]) if index.shape[1] > 3 else np.zeros(len(index), bool)
+    yield from (b"f " + b" ".join(b"%d" % corner for corner in face) for face in (index[~split] + 1).tolist())
+    for face in index[split]:
+        for triangle in (face[triangulated(places[face])] + 1).tolist():
+            yield b"f %d %d %d" % tuple(triangle)
