@@ -209,7 +209,9 @@ class LidarReader:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
             self._inferred.add(scan.points_m, float(np.ptp(time_s)))
         front = self.said
-        return scan if front is self._whole or self._whole is None else _ahead_of(scan, self._whole)
+        if self._whole is None or (scan.organised and front is self._whole):
+            return scan
+        return _ahead_of(scan, self._whole)
 
     def _scan(self, stamp_ns: int, message: Any) -> LidarScan:
         fields = read_points(message)

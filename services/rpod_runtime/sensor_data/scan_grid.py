@@ -34,7 +34,8 @@ _STRAY = 0.25
 """Least number of points of a line over the usual one; fewer are strays between lines."""
 _MARGIN = 8
 """Least number of lines added on both sides of the points of an unorganised scan."""
-_MOST_LINES = 512
+_MOST_LINES, _MOST_RAYS = 1024, 2**18
+"""Greatest number of lines that points tell, and of rays of the whole pattern."""
 _OUTSIDE = 0.05
 """Share of an unorganised scan's points outside its pattern from which on it is inferred anew."""
 _NEIGHBOURS = 400
@@ -113,12 +114,14 @@ class GridInference:
             columns = self._organised("azimuth", azimuth, returned, 0)
             rows = self._organised("elevation", elevation, returned, 1)
         else:
-            azimuth, elevation = azimuth[returned], elevation[returned]
+            seen = returned & is_ahead(
+                azimuth
+            )  # a head that turns all around in a room sees walls all around
+            azimuth, elevation = azimuth[seen], elevation[seen]
             if self.pattern is not None and _covers(self.pattern, azimuth, elevation):
                 return
             apart_rad = _apart_rad(azimuth, elevation)
-            columns = _gathered(azimuth, apart_rad, np.pi)
-            rows = _gathered(elevation, apart_rad, np.pi / 2.0)
+            columns, rows = _widened(_gathered(azimuth, apart_rad), _gathered(elevation, apart_rad))
         if columns is None or rows is None:
             return
         try:
@@ -205,8 +208,8 @@ def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
     return float(np.median(np.asarray(apart)[:, 1]))
 
 
-def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | None:
-    """Return the lines in which angles gather, else even ones, and as many again on both sides."""
+def _gathered(angles: Angles, apart_rad: float) -> Angles | None:
+    """Return the lines in which angles gather, else even ones; None if they are too few or too many."""
     if angles.size < _LEAST_LINES or not apart_rad:
         return None
     ordered = np.sort(angles)
@@ -220,18 +223,28 @@ def _gathered(angles: Angles, apart_rad: float, most_rad: float) -> Angles | Non
     within = float(np.median([np.ptp(group) for group in groups]))
     means = np.array([group.mean() for group in groups])
     if len(groups) >= _LEAST_LINES and 2 * len(groups) < angles.size and within < apart_rad / 2.0:
-        step = float(np.median(np.diff(means)))
-        index = np.round((means - means[0]) / step).astype(np.intp)
+        index = np.round((means - means[0]) / np.median(np.diff(means))).astype(np.intp)
         index, first = np.unique(index, return_index=True)
         lines = _all_lines(index, means[first], int(index[-1]) + 1)
-        if lines is None:
-            return None
     else:
         step = _SPARSE * apart_rad
         lines = np.arange(ordered[0], ordered[-1] + step, step)
-    if lines.size > _MOST_LINES:
-        return None
-    more = min(max(_MARGIN, lines.size), (_MOST_LINES - lines.size) // 2)
-    beyond = np.arange(1, more + 1) * step
-    lines = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))
-    return lines[np.abs(lines) <= most_rad]
+    return None if lines is None or not 2 <= lines.size <= _MOST_LINES else lines
+
+
+def _widened(columns: Angles | None, rows: Angles | None) -> tuple[Angles | None, Angles | None]:
+    """Return the lines with as many again on both sides, with a few where these are too many, or none."""
+    if columns is None or rows is None:
+        return None, None
+    for most in (_MOST_LINES, _MARGIN):
+        wide = _with_margin(columns, most, np.pi), _with_margin(rows, most, np.pi / 2.0)
+        if wide[0].size * wide[1].size <= _MOST_RAYS:
+            return wide
+    return None, None
+
+
+def _with_margin(lines: Angles, most: int, most_rad: float) -> Angles:
+    step = float(np.median(np.diff(lines)))
+    beyond = np.arange(1, min(max(_MARGIN, lines.size), most) + 1) * step
+    wide = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))
+    return wide[np.abs(wide) <= most_rad]

@@ -79,6 +79,23 @@ def test_points_without_order_show_the_lines_on_which_they_lie(shift):
         assert lines[-1] > np.radians(12.0)
 
 
+@pytest.mark.parametrize(("columns", "offset_deg"), [(1024, 0.0), (2048, 0.0), (1024, 1.4), (2000, 0.9)])
+def test_a_head_that_turns_all_around_in_a_room_shows_its_lines_without_order(columns, offset_deg):
+    """Beams of some heads are beside each other, so that their azimuths differ from ring to ring."""
+    azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
+    elevation = np.radians(np.linspace(-22.5, 22.5, 64))
+    el, az = np.meshgrid(elevation, azimuth, indexing="ij")
+    az = az + np.radians(offset_deg) * np.sin(5.0 * np.arange(64))[:, None]
+    rays = np.stack((np.sin(az) * np.cos(el), np.sin(el), np.cos(az) * np.cos(el)), axis=-1)
+    points = (6.0 * rays / np.abs(rays).max(axis=-1, keepdims=True)).reshape(-1, 3)  # walls, floor, ceiling
+    pattern = inferred(points.astype(np.float32))
+    step = np.median(np.diff(azimuth))
+    assert 0.3 * step < np.median(np.diff(pattern.azimuth_rad)) < 1.5 * step
+    nearest = np.abs(elevation[:, None] - pattern.elevation_rad).min(axis=1)
+    assert nearest.max() < 0.1 * np.median(np.diff(elevation))
+    assert pattern.azimuth_rad.size * pattern.elevation_rad.size <= 2**18
+
+
 def test_a_scan_that_never_repeats_gets_lines_as_far_apart_as_its_points():
     rng = np.random.default_rng(4)
     x, y = rng.uniform(-1.0, 1.0, (2, 2_000))
