@@ -107,7 +107,7 @@ class _Service:
         """Process a frame and publish the result."""
         output = self._estimator.process(arrived)
         self.publish(output, arrived)
-        self._subscriptions.health.judge(arrived, output.status, time.monotonic())
+        self._subscriptions.health.judge(arrived, output, time.monotonic())
         self._subscriptions.health.rest(self._searches.pause_s)
         if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
             self._searches.end_rests()

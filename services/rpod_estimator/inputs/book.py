@@ -21,6 +21,9 @@ PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
 """Kinds of losses that are told with the first frame: the sensor is not set up as it was."""
+DOUBTFUL_SHARE = 0.125
+"""Share of the recent frames that support the pose too little, above which it is told: as that above which
+the navigator begins no track."""
 UNPAIRED, REJECTED = "unpaired", "rejected"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
 
@@ -49,6 +52,7 @@ OK = InputState(Health.OK, "")
 class _Frame:
     time_s: float
     loss: Loss | None
+    doubt: str = ""
 
 
 class SensorBook:
@@ -73,6 +77,7 @@ class SensorBook:
         self._heard_s: float | None = None
         self._since_s = now_s
         self._others_s = -WINDOW_S
+        self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
 
     def note_arrival(self, now_s: float) -> None:
         """Note that the leading part of a frame came."""
@@ -83,10 +88,10 @@ class SensorBook:
             self._gaps_s.append(max(now_s - self._heard_s, 0.0))
         self._heard_s = now_s
 
-    def use(self, now_s: float) -> None:
-        """Count a frame that was used."""
+    def use(self, now_s: float, doubt: str = "") -> None:
+        """Count a frame that was used, and why it supports its pose too little, if it does."""
         self.used += 1
-        self._recent.append(_Frame(now_s, None))
+        self._recent.append(_Frame(now_s, None, doubt))
 
     def lose(self, loss: Loss, now_s: float) -> None:
         """Count a frame that was not used."""
@@ -94,9 +99,11 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
-    def note_others(self, now_s: float) -> None:
-        """Note that parts of a frame came without the leading one."""
+    def note_others(self, now_s: float, unused: str = "") -> None:
+        """Note that parts of a frame came without the leading one; ``unused``: why they are of no frame."""
         self._others_s = now_s
+        if unused:
+            self._unused.append((now_s, unused))
 
     @property
     def _silent_after_s(self) -> float:
@@ -116,7 +123,7 @@ class SensorBook:
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
         frames = len(self._recent)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
-            return self._doubtful()
+            return self._doubtful(now_s)
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
         latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
@@ -126,7 +133,7 @@ class SensorBook:
         text = latest.text + looks * (level == Health.ERROR and latest.kind == REJECTED)
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
-    def _doubtful(self) -> InputState:
+    def _doubtful(self, now_s: float) -> InputState:
         if self.sync.ptp == "unlocked":
             offset_s = self.sync.ptp_offset_s
             offset = "" if offset_s is None else f", it is {offset_s:.6f} s off"
@@ -135,6 +142,17 @@ class SensorBook:
             )
         if self.defect:
             return InputState(Health.WARN, f"{self.name}: {self.defect}")
+        unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
+        if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
+            return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
+        doubts = [frame.doubt for frame in self._recent if frame.doubt]
+        if len(doubts) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
+            return InputState(
+                Health.WARN,
+                f"{self.name}: {len(doubts)} of its last {len(self._recent)} frames support the pose too little: "
+                f"{doubts[-1]}; if a quarter does so, the track ends, and none begins above an eighth. Does the "
+                "model match the target (shape, materials), and the mount, lens and exposure the sensor?",
+            )
         if self.repeats < LEAST_FRAMES:
             return OK
         text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
@@ -156,6 +174,14 @@ def unpaired(frame: GivenUp, leading: str) -> Loss:
         return Loss(UNPAIRED, f"its {leading} came behind that of a newer frame; look at the network")
     lacks = " and ".join(_lack(part, step_ns) for part, step_ns in frame.lacks.items())
     return Loss(UNPAIRED, f"{leading} without {lacks}")
+
+
+def unused(frame: GivenUp, leading: str) -> str:
+    """Return why parts that came without the leading one belong to no frame; empty if they are only late."""
+    step_ns = frame.lacks.get(leading)
+    if not step_ns:
+        return ""
+    return f"{' and '.join(sorted(frame.parts))} is not used, without {_lack(leading, step_ns)}"
 
 
 def _lack(part: str, step_ns: int | None) -> str:

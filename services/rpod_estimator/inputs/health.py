@@ -5,14 +5,15 @@ import logging
 from pydantic import ValidationError
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.inputs.book import OK, REJECTED, InputState, Loss, SensorBook, unpaired
+from rpod_estimator.inputs.book import OK, REJECTED, InputState, Loss, SensorBook, unpaired, unused
 from rpod_pose.navigation.first_pose.searches import RESTING, WAITS
+from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.health import HealthBook
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.texts import without_figures
-from rpod_schemas.types import Diagnostic, EstimatorStatus, Health, Mode, SensorSync
+from rpod_schemas.types import Diagnostic, Health, Mode, SensorSync
 
 log = logging.getLogger(__name__)
 
@@ -42,9 +43,9 @@ class InputHealth:
         self.rivals: list[tuple[str, Peer, Peer]] = []
         """Publishers beside the one that is used: topic, the one that is used, the other one."""
 
-    def judge(self, arrived: Arrived, status: EstimatorStatus, now_s: float) -> None:
+    def judge(self, arrived: Arrived, output: Output, now_s: float) -> None:
         """Note what became of a frame."""
-        book = self.books[arrived.sensor]
+        book, status = self.books[arrived.sensor], output.status
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # told of as a rival
         if status.reason.startswith(WAITS):  # the frame in which nothing is found is told of
@@ -54,7 +55,7 @@ class InputHealth:
             return
         book.repeats, book.defect = arrived.repeats, arrived.defect
         if status.accepted:
-            book.use(now_s)
+            book.use(now_s, output.doubt)
         else:
             found = status.reason.partition(f"; {WAITS}")[0]  # another search has begun, which is no reason
             book.lose(Loss(arrived.refused or REJECTED, found), now_s)
@@ -65,7 +66,7 @@ class InputHealth:
         if leading in frame.parts:
             book.lose(unpaired(frame, leading), now_s)
         else:
-            book.note_others(now_s)
+            book.note_others(now_s, unused(frame, leading))
 
     def rest(self, pause_s: float) -> None:
         """Note how long searches rest."""

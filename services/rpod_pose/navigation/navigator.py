@@ -295,7 +295,8 @@ class Navigator:
         if tracked and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
-            return self._reject(state, event, registration, reason=f"{share}: {reason}" if reason else share)
+            why = reason or registration.belief.reason or "the newest does"
+            return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
         measured, proven = as_measured(registration, event), tracked and registration.begins_track

@@ -83,7 +83,8 @@ class Results:
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
         used = registration if odometry and not reason else None
-        return Output(status, odometry, refused, joints, measured=used)
+        doubt = "" if reason else measured.belief.reason
+        return Output(status, odometry, refused, joints, doubt=doubt, measured=used)
 
     def silent(
         self, state: NavigatorState, stamp_ns: int, reason: str, *, sensor: str = ""

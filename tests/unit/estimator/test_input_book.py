@@ -54,6 +54,40 @@ def test_the_level_follows_the_share_of_frames_that_were_not_used(losses, level,
     assert bool(words) == bool(state.text)
 
 
+@pytest.mark.parametrize(("every", "level"), [(2, Health.WARN), (7, Health.WARN), (16, Health.OK)])
+def test_frames_that_support_the_pose_too_little_are_told_although_they_are_used(every, level):
+    book, now_s = SensorBook("pmd", "depth", now_s=0.0), 0.0
+    for number in range(60):
+        now_s += 1.0 / 15.0
+        book.note_arrival(now_s)
+        book.use(now_s, "66% of the edges are in their place" if number % every == 0 else "")
+    state = book.state(now_s)
+    assert state.level == level
+    words = "frames support the pose too little: 66% of the edges are in their place"
+    assert (words in state.text) == (level == Health.WARN)
+
+
+@pytest.mark.parametrize(("shift_ns", "level"), [(0, Health.OK), (5_000_000, Health.WARN)])
+def test_an_amplitude_that_belongs_to_no_frame_is_told_although_depth_is_used(shift_ns, level):
+    assembler = Assembler(
+        frozenset({"depth"}), frozenset({"amplitude"}), leading="depth", within_ns=1_000_000
+    )
+    health = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0)
+    book = health.books["pmd"]
+    for number in range(60):
+        now_s, stamp_ns = number / 15.0, 10**9 + number * 66_666_667
+        book.note_arrival(now_s)
+        complete = assembler.add("depth", stamp_ns, 1)
+        for _ in (*complete, *assembler.add("amplitude", stamp_ns + shift_ns, 1)):
+            book.use(now_s)
+        for given_up in assembler.take_given_up():
+            health.give_up("pmd", given_up, now_s)
+    assert book.used > 50
+    assert book.state(now_s).level == level
+    words = "amplitude is not used, without depth: the nearest one is stamped 5.000 ms earlier"
+    assert (words in book.state(now_s).text) == (level == Health.WARN)
+
+
 def test_of_a_slow_sensor_the_last_three_frames_are_judged():
     assert book_after([LATE] * 2, rate_hz=0.3)[0].state(10.0).level == Health.OK
     book, now_s = book_after([LATE] * 5, rate_hz=0.3)

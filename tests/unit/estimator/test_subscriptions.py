@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rpod_estimator.inputs.subscriptions import Subscriptions
+from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock, Received, WallClock
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.errors import RefusedError
@@ -366,7 +367,7 @@ def told(bench, now_s=3.0):
             stamp_ns=arrived.stamp_ns, frame_id="chaser", mode=Mode.TRACKING,
             sensor=arrived.sensor, accepted=accepted, reason=arrived.reason,
         )  # fmt: skip
-        bench.inputs.health.judge(arrived, status, now_s)
+        bench.inputs.health.judge(arrived, Output(status, None), now_s)
     bench.inputs.health.report(Mode.TRACKING, now_s)
     diagnostic = bench.node.health.diagnostic(0)
     return diagnostic.level, diagnostic.message, diagnostic.values

@@ -640,7 +640,8 @@ def test_a_track_that_every_third_frame_does_not_support_is_lost_and_does_not_co
         output = made.see(view)
         modes.append(output.status.mode)
         if modes[-1] == Mode.LOST and Mode.LOST not in modes[:-1]:
-            assert "of the recent frames do not support the tracked pose" in output.status.reason
+            why = "of the recent frames do not support the tracked pose: a detail contradicts the pose"
+            assert why in output.status.reason
     assert Mode.LOST in modes
     assert Mode.TRACKING not in modes[modes.index(Mode.LOST) :]
 
