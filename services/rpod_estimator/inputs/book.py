@@ -149,9 +149,9 @@ class SensorBook:
         if len(doubts) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
             return InputState(
                 Health.WARN,
-                f"{self.name}: {len(doubts)} of its last {len(self._recent)} frames support the pose too little: "
-                f"{doubts[-1]}; if a quarter does so, the track ends, and none begins above an eighth. Does the "
-                "model match the target (shape, materials), and the mount, lens and exposure the sensor?",
+                f"{self.name}: {len(doubts)} of {len(self._recent)} frames support the pose too little: "
+                f"{doubts[-1]}; a quarter of such frames ends a track, an eighth lets none begin; compare the "
+                "model with the target (shape, materials), and look at lens and exposure",
             )
         if self.repeats < LEAST_FRAMES:
             return OK

@@ -20,6 +20,8 @@ DARK = 0.1
 
 _BESIDE = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
 """The four pixels that share a side with one."""
+_AROUND, _NEAR_PX = np.ones((3, 3), np.uint8), (5, 5)
+"""A pixel with those around it, and the size, px, in which one finds pixels that see other things alone."""
 
 
 class PartOfFrame(PmdFrame):
@@ -68,7 +70,9 @@ class PmdFrames:
         if frame.amplitude is not None:
             kept = (label == Label.KEPT) & (frame.depth_m > 0.0)
             amplitude = np.where(hiding, frame.amplitude.dtype.type(0), frame.amplitude)
-            images["amplitude"] = np.where(beyond, _unmixed(amplitude, kept, _sky(frame, kept)), amplitude)
+            sides = _Sides(kept, beyond & (frame.depth_m > 0.0))
+            unmixed = _unmixed(frame, amplitude, sides, _sky(frame, kept))
+            images["amplitude"] = np.where(beyond, unmixed, amplitude)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
         return frame.model_copy(update=images)
@@ -93,17 +97,51 @@ class PmdFrames:
         return frame.range_image_m
 
 
-def _unmixed(amplitude: Array, kept: NDArray[np.bool_], sky: np.uint16) -> Array:
+def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: np.uint16) -> Array:
     """Return the amplitudes that pixels beyond the target would have before the sky, shape (height, width).
 
-    The first pixel beyond the outline sees the target and what is behind it: its range is between both. On
-    average the target covers half of it, and so it has half the amplitude of the pixels beside it. A pixel
-    that sees the sky alone would move the edge inwards by half a pixel on average.
+    A pixel at the outline sees the target and what is behind it. Its range is between both, nearer to that of
+    which it gets more light. With the amplitudes on both sides this tells how much of the pixel the target
+    covers. A pixel at the range of what is behind is not covered at all, as those of a camera that does not
+    mix ranges. Where the side behind is not known a half counts, which is right on average.
     """
-    lit = np.where(kept, amplitude, 0).astype(np.float32)
-    total, count = (cv2.filter2D(image, -1, _BESIDE) for image in (lit, kept.astype(np.float32)))
-    mixed = 0.5 * (total / np.maximum(count, 1.0) + float(sky))
-    return np.where(count > 0.5, mixed, float(sky)).astype(amplitude.dtype)
+    near_m, lit = sides.mean_of_target(frame.depth_m), sides.mean_of_target(amplitude)
+    far_m, behind = sides.mean_of_others(frame.depth_m), sides.mean_of_others(amplitude)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        light = np.clip((far_m - frame.depth_m) / (far_m - near_m), 0.0, 1.0)
+        covered = light * behind / (light * behind + (1.0 - light) * lit)
+    covered = np.where(np.isfinite(covered), covered, np.float32(0.5))
+    mixed = np.where(sides.touches, covered * lit + (1.0 - covered) * sky, float(sky))
+    return np.asarray(mixed).astype(amplitude.dtype)
+
+
+class _Sides:
+    """Means over the pixels on both sides of the target's outline.
+
+    Args:
+        kept: pixels with a range on the target, shape (height, width).
+        others: pixels with a range on other things beyond it, same shape.
+    """
+
+    def __init__(self, kept: NDArray[np.bool_], others: NDArray[np.bool_]) -> None:
+        self._kept = kept.astype(np.float32)
+        self._beside = cv2.filter2D(self._kept, -1, _BESIDE)
+        self.touches: NDArray[np.bool_] = self._beside > 0.5
+        """Pixels beside one of the target."""
+        self._others = (others & ~(cv2.dilate(kept.astype(np.uint8), _AROUND) > 0)).astype(np.float32)
+
+    def mean_of_target(self, image: Array) -> Float32Array:
+        """Return the mean of the target's pixels that share a side with each pixel; 0 without one."""
+        sums = cv2.filter2D(np.where(self._kept > 0, image, 0).astype(np.float32), -1, _BESIDE)
+        return np.asarray(sums / np.maximum(self._beside, 1.0), np.float32)
+
+    def mean_of_others(self, image: Array) -> Float32Array:
+        """Return the mean of the pixels around each pixel that see other things alone; NaN without one."""
+        sums, count = (
+            cv2.boxFilter(part, -1, _NEAR_PX, normalize=False)
+            for part in (np.where(self._others > 0, image, 0).astype(np.float32), self._others)
+        )
+        return np.where(count > 0.5, sums / np.maximum(count, 1.0), np.float32(np.nan))
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:

@@ -12,11 +12,12 @@ from rpod_pose.methods import methods_of
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Methods
 from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
+from rpod_pose.surroundings.separation import Label
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.surroundings import SensorSurroundings
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -88,6 +89,25 @@ def test_nothing_is_found_and_nothing_tracked_in_a_laboratory_without_the_target
 def test_a_ray_that_passes_where_the_target_should_be_contradicts_the_pose():
     beside = make_pose(rotation=POSE.rotation, translation_m=POSE.translation - np.array([0.9, 0, 0]))
     assert not methods().tracker.track(frame("laboratory"), beside).continues_track
+
+
+@pytest.mark.parametrize("covered", [0.0, 0.2, 0.5, 0.8])
+def test_a_pixel_at_the_outline_keeps_the_light_of_the_part_that_the_target_covers(covered):
+    """Ranges of a camera that does not mix them are those of the wall; others lie between both."""
+    target, wall, column = (4.0, 200.0), (6.5, 120.0), 30
+    share = covered * target[1] / (covered * target[1] + (1.0 - covered) * wall[1])
+    range_m = np.full((40, 60), wall[0], np.float32)
+    amplitude = np.full((40, 60), wall[1], np.float32)
+    range_m[:, :column], amplitude[:, :column] = target
+    range_m[:, column] = share * target[0] + (1.0 - share) * wall[0]
+    amplitude[:, column] = covered * target[1] + (1.0 - covered) * wall[1]
+    camera = Camera(width=60, height=40, fx=60.0, fy=60.0, cx=29.5, cy=19.5)
+    seen = PmdFrame(stamp_ns=0, frame_id="", depth_m=range_m, amplitude=amplitude, camera=camera)
+    labels = np.where(np.arange(60) < column, Label.KEPT, Label.BEYOND) * np.ones((40, 1))
+    left = PmdFrames().separated(seen, labels.astype(np.uint8), np.zeros((40, 60), bool)).amplitude
+    np.testing.assert_allclose(left[:, :column], target[1])
+    np.testing.assert_allclose(left[2:-2, column], covered * target[1], atol=1.1)
+    np.testing.assert_allclose(left[:, column + 1 :], 1.0)
 
 
 def known(**changes: object) -> KnownParts:
