@@ -150,8 +150,8 @@ class SensorBook:
             return InputState(
                 Health.WARN,
                 f"{self.name}: {len(doubts)} of {len(self._recent)} frames support the pose too little: "
-                f"{doubts[-1]}; a quarter of such frames ends a track, an eighth lets none begin; compare the "
-                "model with the target (shape, materials), and look at lens and exposure",
+                f"{doubts[-1]}; a quarter of such frames ends a track, an eighth lets none begin; "
+                "compare model and target (shape, materials), and look at lens and exposure",
             )
         if self.repeats < LEAST_FRAMES:
             return OK
