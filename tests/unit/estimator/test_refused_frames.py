@@ -15,7 +15,7 @@ def modes_while(refused: Reason) -> list[Mode]:
     """Return the modes of an estimator that tracks, while each frame is refused for a reason."""
     config = EstimatorConfig(target="mockup", sensors=(PmdInput(),))
     estimator, made = Estimator(config, load_target("mockup")), tracking()
-    estimator._navigator, estimator._state = made.navigator, made.state  # noqa: SLF001 - a track as it is made
+    estimator._navigator, estimator._state = made.navigator, made.state
     modes = []
     for number in range(1, 40):
         stamp_ns = round((START_S + 1.0 + number / 10.0) * SECOND_NS)
