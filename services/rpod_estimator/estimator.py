@@ -39,6 +39,9 @@ from rpod_target.mesh.topology import areas_m2
 
 log = logging.getLogger(__name__)
 
+_EMPTY = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED})
+"""Reasons to refuse a frame that came in time and holds no measurement: a track goes on as a prediction."""
+
 OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
 """Opens the port that makes searches, with methods and setups of the sensors, by name."""
 TICK_S = 0.1
@@ -251,10 +254,12 @@ class Estimator:
         self._passed_ns = max(until_ns, self._passed_ns or 0)
 
     def _rejected(self, arrived: Arrived, reason: str) -> Output:
-        if arrived.refused == Reason.FROZEN:
+        if arrived.refused in _EMPTY:
+            before = self._state.mode
             self._state, output = self._navigator.refuse(
                 self._state, arrived.sensor, arrived.stamp_ns, reason
             )
+            self._log_change(before, output)
             return output
         status = EstimatorStatus(
             stamp_ns=arrived.stamp_ns,

@@ -179,7 +179,8 @@ class Navigator:
         self, state: NavigatorState, sensor: str, stamp_ns: int, reason: str
     ) -> tuple[NavigatorState, Output]:
         """Return the state and the output at the stamp of a frame without content of its own."""
-        aged, _ = self._coasting.aged(state, stamp_ns)
+        aged, why = self._coasting.aged(state, stamp_ns)
+        reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
 
     # --- searches ---

@@ -246,6 +246,6 @@ def _widened(columns: Angles | None, rows: Angles | None) -> tuple[Angles | None
 def _with_margin(lines: Angles, most: int, most_rad: float) -> Angles:
     step = float(np.median(np.diff(lines)))
     beyond = np.arange(1, min(max(_MARGIN, lines.size), most) + 1) * step
-    wide = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))
-    within: Angles = wide[np.abs(wide) <= most_rad]
-    return within
+    wide: Angles = np.concatenate((lines[0] - beyond[::-1], lines, lines[-1] + beyond))
+    kept: Angles = wide[np.abs(wide) <= most_rad]
+    return kept
