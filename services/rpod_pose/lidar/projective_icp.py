@@ -2,7 +2,9 @@
 
 A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
 steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
-outline determines it (``outline``). The likelihood of the scan at the pose is the self-check (``scan_fit``).
+outline determines it (``outline``). Where returns are few, or the scan is less likely than at a right pose,
+the pose becomes the mean of the posterior, by samples of its surroundings (``posterior``). The likelihood of
+the scan at the pose is the self-check (``scan_fit``).
 
 A body that is nearly one of revolution has many optima about its axis, since few rays meet the details that
 tell the turn. The likelihood is therefore evaluated at turns about such an axis. The likeliest is taken, and
@@ -18,12 +20,14 @@ from scipy.special import softmax
 
 from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.outline.other_size import other_sizes
+from rpod_pose.lidar.posterior.sampled_posterior import SPREAD, SampledPosterior
 from rpod_pose.lidar.posterior.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_registration import (
     CHANCE,
+    RESUMED,
     ScanRegistration,
     is_sure,
     neighbourhood,
@@ -52,7 +56,8 @@ NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
 VAGUE_DEG = 3.5
 """Largest standard deviation of a believed turn, deg; an error of 10 deg then has a probability of 0.5 %."""
 MANY = 70
-"""Number of returns from which on a scan that is as likely as at a right pose tells the turn."""
+"""Number of informative returns from which on a scan that is as likely as at a right pose determines it.
+Fewer leave several optima within some standard deviations."""
 
 
 class ProjectiveIcp:
@@ -148,14 +153,15 @@ class ProjectiveIcp:
         found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
         if not (seen.range_m.any() and np.isfinite(found.information).all()):
             return self._registration(seen, found)
-        sure = is_sure(found, seen.returns, self._reach)
+        sure = is_sure(found, seen.returns, self._reach) and self.model.informative(seen) >= MANY
+        posterior = None
         if not sure:
-            found = self._resumed(seen, problem, found)
-        if not self._near_axes or (sure and seen.returns >= MANY):
-            return self._with_sizes(seen, problem, found, self._registration(seen, found))
-        found, spread = self._turned(seen, problem, start, found)
-        registration = _uncertain_by(self._registration(seen, found), spread)
-        return self._with_sizes(seen, problem, found, registration)
+            found, posterior = self._resumed(seen, problem, found)
+        if sure or not self._near_axes:
+            return self._with_sizes(seen, problem, found, self._placed(seen, found, posterior))
+        turned, spread = self._turned(seen, problem, start, found)
+        registration = self._placed(seen, turned, posterior if turned is found else None)
+        return self._with_sizes(seen, problem, turned, _uncertain_by(registration, spread))
 
     def _with_sizes(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration
@@ -167,14 +173,37 @@ class ProjectiveIcp:
         sizes = other_sizes(problem, found, seen.range_m, assumed, self._reach, scale_tolerance=declared)
         return replace(registration, other_sizes=sizes)
 
-    def _resumed(self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration) -> ScanRegistration:
-        """Return a registration from the likeliest of samples around one that may be beside the solution."""
-        rough = neighbourhood(found.information, found.pose, self._reach)
-        posterior = self.model.posterior(seen, found.pose, rough)
-        start = stepped(found.pose, posterior.likeliest)
-        other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
-        least = found.statistics.agreement.log_likelihood + CHANCE
-        return other if other.statistics.agreement.log_likelihood > least else found
+    def _resumed(
+        self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration
+    ) -> tuple[ScanRegistration, SampledPosterior | None]:
+        """Return a registration that may have been beside the solution, and the posterior around it.
+
+        Samples around it show what else explains the scan. While one of them is likelier, the registration
+        starts anew from there. The posterior is None if a few samples have all the weight.
+        """
+        for _ in range(RESUMED):
+            rough = neighbourhood(found.information, found.pose, self._reach)
+            posterior = self.model.posterior(seen, found.pose, rough)
+            start = stepped(found.pose, posterior.likeliest)
+            least = _log_likelihood(found) + CHANCE
+            if not self.model.fit(seen, *start).log_likelihood > least:
+                return found, posterior if posterior.effective >= SPREAD else None
+            other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
+            if not _log_likelihood(other) > least:
+                return found, posterior if posterior.effective >= SPREAD else None
+            found = other
+        return found, None
+
+    def _placed(
+        self, seen: SeenScan, found: ScanRegistration, posterior: SampledPosterior | None
+    ) -> Registration:
+        """Return a registration at the mean of the posterior around it, if there is one."""
+        if posterior is None:
+            return self._registration(seen, found)
+        mean, fit, covariance = self.model.mean(seen, found.pose, posterior)
+        information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
+        placed = found._replace(pose=mean, information=information, statistics=fit)
+        return self._registration(seen, placed, sampled=True)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
         """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
@@ -202,12 +231,15 @@ class ProjectiveIcp:
             self.view.hits.arrays,
         )
 
-    def _registration(self, seen: SeenScan, found: ScanRegistration) -> Registration:
+    def _registration(
+        self, seen: SeenScan, found: ScanRegistration, *, sampled: bool = False
+    ) -> Registration:
+        """Return a registration; ``sampled`` if its information is that of the sampled posterior."""
         inliers, squares, (R, t) = found.faces.inliers, found.faces.squares_m2, found.pose
         if inliers < self._tuning.min_points:
             return _failed(f"{inliers} returns on faces, {self._tuning.min_points} needed")
         fit = ScanFit.of(found.statistics)
-        parts = self._parts(seen, found)
+        parts = self._parts(seen, found, sampled=sampled)
         covariance = pose_covariance(found.information + self._weak, R) + parts.of_model
         return Registration(
             Source.LIDAR,
@@ -224,10 +256,11 @@ class ProjectiveIcp:
             misfit=self.model.misfit(seen, R, t),
         )
 
-    def _parts(self, seen: SeenScan, found: ScanRegistration) -> ErrorParts:
+    def _parts(self, seen: SeenScan, found: ScanRegistration, *, sampled: bool) -> ErrorParts:
         """Return the errors of a registration by how long they last."""
         R, rows = found.pose.R, FaceRows.of(self._problem(seen), found)
-        white = pose_covariance(noise_information(rows, found, self._weak) + self._weak, R)
+        of_noise = found.information if sampled else noise_information(rows, found, self._weak)
+        white = pose_covariance(of_noise + self._weak, R)
         if not self._model_error.matters:
             return ErrorParts.lasting_model(white, np.zeros((6, 6)))
         alone: FloatArray = np.linalg.inv(found.information + self._weak).astype(np.float64)

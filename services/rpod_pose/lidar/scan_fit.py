@@ -12,7 +12,7 @@ comparison: the deficit of a right pose is small and random, that of a wrong one
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import degrees, hypot, sqrt
+from math import degrees, e, hypot, log, pi, sqrt
 from typing import Self
 
 import numpy as np
@@ -31,13 +31,19 @@ from rpod_pose.lidar.scan_likelihood import (
     ScanStatistics,
     scan_statistics,
 )
+from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Misfit
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
+ENTROPY = sqrt(2.0 * pi * e)
+"""Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
+information is the logarithm of the width of what is known before over that of what is known after it."""
+LARGE = 1e3
+"""Size of a target in standard deviations of a range from which on a return counts fully: 25 m for 25 mm."""
 LEAST_DEVIATION = 3.0
 """Least standard deviation of a deficit, for scans in which almost nothing is random."""
 MARGIN = 3
@@ -100,10 +106,15 @@ class ScanModel:
         self._uneven_m = hypot(_UNEVEN * self.sigma_range_m, tolerance_m)
         self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
         self._shares = expected_shares(config.surest_detection)
-        radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
-        self.assumed = _assumptions(config, self.sigma_range_m, radius_m)
+        self._radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
+        self.assumed = _assumptions(config, self.sigma_range_m, self._radius_m)
         worse = config.model_copy(update=dict(acceptance.pessimistic))
-        self._pessimistic = _assumptions(worse, self.sigma_range_m, radius_m)
+        self._pessimistic = _assumptions(worse, self.sigma_range_m, self._radius_m)
+
+    def informative(self, seen: SeenScan) -> float:
+        """Return the number of returns, weighted by the information of one relative to a large target's."""
+        ratio = 2.0 * self._radius_m / self.sigma_range_m
+        return seen.returns * min(max(log(ratio / ENTROPY) / log(LARGE / ENTROPY), 0.0), 1.0)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
@@ -221,6 +232,30 @@ class ScanModel:
         )
         proposal = Proposal(covariance, draws())
         found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
+        return found
+
+    def mean(
+        self, seen: SeenScan, pose: PoseArrays, posterior: SampledPosterior
+    ) -> tuple[PoseArrays, ScanStatistics, FloatArray]:
+        """Return the mean of a posterior, the scan's statistics there, and the covariance of (dtau, dtheta).
+
+        The mean of several optima may explain the scan less than they do. The likeliest sample is then
+        returned, with the covariance about it.
+
+        Args:
+            seen: the scan.
+            pose: the pose from which the posterior's steps are taken.
+            posterior: the posterior.
+        """
+        mean, likeliest = stepped(pose, posterior.mean), stepped(pose, posterior.likeliest)
+        there, best = self._statistics(seen, mean), self._statistics(seen, likeliest)
+        if there.agreement.log_likelihood >= best.agreement.log_likelihood - CHANCE:
+            return mean, there, posterior.covariance
+        off = posterior.likeliest - posterior.mean
+        return likeliest, best, posterior.covariance + np.outer(off, off)
+
+    def _statistics(self, seen: SeenScan, pose: PoseArrays) -> ScanStatistics:
+        found: ScanStatistics = scan_statistics(seen.range_m, pose.R, pose.t, self._rays, self.assumed)
         return found
 
 

@@ -48,6 +48,8 @@ STRAIGHT = 0.125
 """Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
 STRETCH = 3.0
 """Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
+RESUMED = 4
+"""Largest number of times that the surroundings of a pose are sampled."""
 CHANCE = 3.0
 """Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
 

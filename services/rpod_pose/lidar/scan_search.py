@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import e, log, pi, sqrt
 from typing import Self
 
 import numpy as np
@@ -12,7 +11,15 @@ from rpod_pose.belief import Belief
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
-from rpod_pose.lidar.scan_registration import CHANCE, Reach, aligned, neighbourhood, reach_of, settled
+from rpod_pose.lidar.scan_registration import (
+    CHANCE,
+    RESUMED,
+    Reach,
+    aligned,
+    neighbourhood,
+    reach_of,
+    settled,
+)
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
@@ -35,11 +42,6 @@ HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again."""
-ENTROPY = sqrt(2.0 * pi * e)
-"""Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
-information is the logarithm of the width of what is known before over that of what is known after it."""
-LARGE = 1e3
-"""Size of a target in standard deviations of a range from which on a return counts fully: 25 m for 25 mm."""
 ABSORBED = 22.5
 """Squared distance of a pose from the mean of another's posterior, in its standard deviations, up to which it
 belongs to it: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
@@ -143,9 +145,8 @@ class ScanSearch:
 
     @property
     def informative(self) -> float:
-        """Number of returns, weighted by the information of one relative to that from a large target."""
-        ratio = 2.0 * self._scanner.reach.radius_m / self._scanner.statistics.sigma_range_m
-        return self.seen.returns * min(max(log(ratio / ENTROPY) / log(LARGE / ENTROPY), 0.0), 1.0)
+        """Number of returns as ``ScanModel.informative`` counts it."""
+        return self._scanner.statistics.informative(self.seen)
 
     @property
     def few(self) -> bool:
@@ -328,21 +329,24 @@ class ScanSearch:
         return Pose(*found.pose, fit, found.information)
 
     def _sampled(self, pose: Pose) -> Pose:
-        """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely."""
+        """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely.
+
+        While a sample is likelier, the pose is refined from there, and its surroundings are sampled anew.
+        """
         if not self.seen.range_m.any():
             return pose
-        statistics, start = self._scanner.statistics, PoseArrays(pose.R, pose.t)
-        rough = neighbourhood(pose.information, start, self._scanner.reach)
-        found = statistics.posterior(self.seen, start, rough)
-        mean, likeliest = stepped(start, found.mean), stepped(start, found.likeliest)
-        fit, best = statistics.fit(self.seen, *mean), statistics.fit(self.seen, *likeliest)
-        covariance, there = found.covariance, Pose(*mean, fit, pose.information, found.log_mass)
-        if fit.log_likelihood < best.log_likelihood - CHANCE:
-            off = found.likeliest - found.mean
-            covariance = covariance + np.outer(off, off)
-            there = replace(there, R=likeliest.R, t=likeliest.t, fit=best)
+        statistics = self._scanner.statistics
+        for _ in range(RESUMED):
+            start = PoseArrays(pose.R, pose.t)
+            rough = neighbourhood(pose.information, start, self._scanner.reach)
+            found = statistics.posterior(self.seen, start, rough)
+            refined = self._outline_refined(self._unrefined(*stepped(start, found.likeliest)))
+            if not refined.fit.log_likelihood > pose.fit.log_likelihood + CHANCE:
+                break
+            pose = refined
+        mean, fit, covariance = statistics.mean(self.seen, start, found)
         information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
-        return replace(there, information=information)
+        return Pose(*mean, ScanFit.of(fit), information, found.log_mass)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""

@@ -34,6 +34,8 @@ OF_POSE = 6
 """Number of unknowns of a pose."""
 HALVINGS = 20
 """Number of bisections for the power of the weights."""
+IMPOSSIBLE = -1e9
+"""Log likelihood of a step that turns by more than half a turn: a shorter one leads to the same attitude."""
 
 
 class Proposal(NamedTuple):
@@ -96,9 +98,11 @@ def sampled_posterior(
     for number in range(rounds):
         means[number], roots[number] = mean, np.linalg.cholesky(spread + least)
         for n in range(samples):
-            x[known + n] = mean + roots[number] @ steps[number, n]
-            moved = stepped(start, x[known + n])
-            logs[known + n] = scan_agreement(range_m, moved.R, moved.t, rays, assumed).log_likelihood
+            step = mean + roots[number] @ steps[number, n]
+            x[known + n], logs[known + n] = step, IMPOSSIBLE
+            if (step[3:] ** 2).sum() <= pi * pi:
+                moved = stepped(start, step)
+                logs[known + n] = scan_agreement(range_m, moved.R, moved.t, rays, assumed).log_likelihood
         for before in range(number):
             _add_density(mixture[known : known + samples], x[known:], means[before], roots[before])
         known += samples

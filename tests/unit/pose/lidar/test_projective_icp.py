@@ -16,6 +16,7 @@ from lidar_scans import (
 )
 from scipy.spatial.transform import Rotation
 
+from rpod_campaign.engine.trial.poses import nees_of
 from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
@@ -64,6 +65,14 @@ def test_a_nearly_right_pose_is_finished_on_the_faces(target, range_m):
         assert distance_m < 0.3
         assert registration.inliers > 0.6 * seen.returns
         assert registration.cost_m2 < 0.05**2
+
+
+@pytest.mark.parametrize(("target", "range_m", "seed"), [("telecom-satellite", 48.0, 2), (SLIM, 70.0, 3)])
+def test_few_returns_give_the_mean_and_the_covariance_of_their_posterior(target, range_m, seed):
+    T = random_pose(seed, range_m)
+    found = tracker(target).track(scan_at(T, target, frame=seed), off(T, 1.0, 0.1, seed))
+    for covariance in (found.covariance, found.parts.white + found.parts.of_model):
+        assert nees_of(T, found.T_sensor_target, covariance, load(target)) < 16.8  # one of 100 is larger
 
 
 def test_without_noise_the_error_is_about_the_sigma_that_is_told_at_most():

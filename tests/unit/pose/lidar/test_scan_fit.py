@@ -240,6 +240,14 @@ def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
     assert found.log_mass == pytest.approx(laplace, abs=2.0)
 
 
+def test_an_attitude_of_which_a_scan_tells_nothing_is_counted_once():
+    seen = tracker().view.seen(scan_at(random_pose(0, 20.0), frame=0))
+    hidden = SeenScan(seen.points_m, seen.rays, np.full_like(seen.range_m, -1.0))
+    rough = np.diag([0.01**2] * 3 + [1.0] * 3)
+    found = tracker().model.posterior(hidden, PoseArrays.of(random_pose(0, 20.0)), rough)
+    assert np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0) < np.pi
+
+
 @pytest.mark.parametrize("world", ["documented", "outliers", "noisy"])
 def test_neighbouring_residuals_are_alike_for_a_wrong_model_only(world):
     emulator = LidarEmulator(LIDAR, load(BULKY), seed=5, world=world_of(world))
