@@ -46,9 +46,8 @@ ROUNDS = 5
 """Largest number of times that the outline is found anew."""
 STRAIGHT = 0.125
 """Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
-STRETCHES = np.array([1.1, 3.0])
-"""Factors on the standard deviations of a pose with which its neighbourhood is sampled: the first is that of
-Student's distribution which resembles a normal one most, the second reaches what else explains the scan."""
+STRETCH = 3.0
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
 RESUMED = 4
 """Largest number of times that the surroundings of a pose are sampled."""
 CHANCE = 3.0
@@ -95,7 +94,7 @@ def is_sure(found: ScanRegistration, returns: int, reach: Reach) -> bool:
 
 
 def neighbourhood(information: FloatArray, pose: PoseArrays, reach: Reach) -> FloatArray:
-    """Return covariances of (dtau, dtheta), (2, 6, 6), the second of which reaches the optima beside a pose.
+    """Return a covariance of (dtau, dtheta), (6, 6), that reaches the optima beside the one at a pose.
 
     Args:
         information: information about (dtau, dtheta) at the pose, shape (6, 6).
@@ -103,8 +102,8 @@ def neighbourhood(information: FloatArray, pose: PoseArrays, reach: Reach) -> Fl
         reach: no optimum moves a point farther than to the next ray.
     """
     held = np.diag(_held(pose, reach))
-    covariances: FloatArray = np.linalg.inv(information / STRETCHES[:, None, None] ** 2 + held)
-    return covariances
+    covariance: FloatArray = np.linalg.inv(information / STRETCH**2 + held).astype(np.float64)
+    return covariance
 
 
 @kernel

@@ -221,20 +221,20 @@ def test_samples_give_the_mean_and_the_covariance_of_a_pose_near_a_rough_one(see
     T = random_pose(seed, 50.0)
     scan, rough = scan_at(T, SLIM, frame=seed), PoseArrays.of(off(T, 1.5, 0.3, seed))
     model, seen = tracker(SLIM).model, tracker(SLIM).view.seen(scan)
-    found = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3)[None])
+    found = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3))
     mean = stepped(rough, found.mean)
     assert model.fit(seen, *mean).log_likelihood > model.fit(seen, *rough).log_likelihood
     off_by = step_between(pose_of(*mean), T)
     assert off_by @ np.linalg.solve(found.covariance, off_by) < 22.5
     assert np.linalg.norm(off_by[:3]) < 0.2
-    again = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3)[None])
+    again = model.posterior(seen, rough, np.diag([0.3**2] * 3 + [0.03**2] * 3))
     np.testing.assert_array_equal(found.mean, again.mean)
 
 
 def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
     T = random_pose(0, 20.0)
     model, seen = tracker().model, tracker().view.seen(scan_at(T, frame=0))
-    found = model.posterior(seen, PoseArrays.of(T), np.diag([0.01**2] * 3 + [0.001**2] * 3)[None])
+    found = model.posterior(seen, PoseArrays.of(T), np.diag([0.01**2] * 3 + [0.001**2] * 3))
     log_likelihood = model.fit(seen, *stepped(PoseArrays.of(T), found.likeliest)).log_likelihood
     laplace = log_likelihood + 0.5 * np.linalg.slogdet(2.0 * np.pi * found.covariance)[1]
     assert found.log_mass == pytest.approx(laplace, abs=2.0)
@@ -244,7 +244,7 @@ def test_an_attitude_of_which_a_scan_tells_nothing_is_counted_once():
     seen = tracker().view.seen(scan_at(random_pose(0, 20.0), frame=0))
     hidden = SeenScan(seen.points_m, seen.rays, np.full_like(seen.range_m, -1.0))
     rough = np.diag([0.01**2] * 3 + [1.0] * 3)
-    found = tracker().model.posterior(hidden, PoseArrays.of(random_pose(0, 20.0)), rough[None])
+    found = tracker().model.posterior(hidden, PoseArrays.of(random_pose(0, 20.0)), rough)
     assert np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0) < np.pi
 
 
