@@ -63,8 +63,7 @@ class JointFrame:
     shade: FloatArray
     """Amplitude of the coarse pixels, same shape; 0 where a glint saturates, NaN if unknown."""
     typical: float
-    """Median amplitude of the pixels with depth; if these are too few, that of the target in the amplitude image;
-    0 if it is unknown."""
+    """Median amplitude of the pixels with depth, or that of the patch if these are too few; 0 if unknown."""
     points_m: FloatArray
     """Points of the depth, sensor axes, shape (N, 3)."""
     pixel: NDArray[np.intp]
