@@ -16,9 +16,10 @@ The weights of the hypotheses follow from their losses. The tracker aligns the l
 are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
 rival is excluded if its loss is too great before and after the alignment, if the tracker refuses it, or if
 the alignment leads it to the best pose. It stays if the shape alone prefers it clearly: a user knows the
-materials only roughly. If a refused pose explains the frame much better than the accepted ones, none is
-accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
-tried in turn.
+materials only roughly. An alignment that leads away from a pose that explains the frame much better is
+refused: it ended in a false minimum. If a refused pose explains the frame much better than the accepted ones,
+none is accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones
+are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone

@@ -129,7 +129,7 @@ def test_the_brightness_of_a_target_with_little_depth_is_told_by_its_amplitude()
     found = JointFrame.of(seen, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
     assert isinstance(whole, JointFrame)
     assert isinstance(found, JointFrame)
-    assert 0 < len(found.points_m) < JointConfig().tuning.verdict.min_points
+    assert 0 < len(found.points_m) < JointConfig().tuning.acceptance.min_points
     assert found.typical == found.patch.typical == pytest.approx(whole.patch.typical / 20.0 + 1.0, rel=0.1)
 
 
