@@ -211,14 +211,14 @@ class ScanModel:
             and evidence["disagreeing_share"] <= acceptance.inconsistent_share
         )
 
-    def posterior(self, seen: SeenScan, pose: PoseArrays, covariances: FloatArray) -> SampledPosterior:
+    def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
         """Return the posterior of the pose of the target in the sensor near a given one.
 
         Args:
             seen: the scan.
             pose: the pose.
-            covariances: rough covariances of (dtau, dtheta) as in ``normal_equations``, of which the last one
-                is rather too large, shape (K, 6, 6).
+            covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, rather too large,
+                shape (6, 6).
         """
         hits = self._view.hits
         cast_faces(self._view.grid.arrays, self._rays.faces, pose.R, pose.t, hits.arrays)
@@ -230,7 +230,7 @@ class ScanModel:
             np.empty(measured.shape, np.float32),
             np.empty(measured.shape, np.int32),
         )
-        proposal = Proposal(covariances, draws())
+        proposal = Proposal(covariance, draws())
         found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
         return found
 

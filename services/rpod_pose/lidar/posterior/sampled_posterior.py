@@ -2,12 +2,11 @@
 
 Few returns leave several optima of the likelihood within some degrees, of which none is much likelier than
 the others. The mean, the covariance and the mass of the posterior near a pose are therefore computed from
-samples of it. The first rounds draw from rough distributions that are given, each further one from Student's
-distribution with the mean and the covariance of the rounds before it. All samples are weighted by the
-likelihood over the mixture of all rounds' distributions (adaptive multiple importance sampling, J.-M.
-Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance Sampling, Scandinavian Journal of
-Statistics 39, 2012). As long as a few samples have nearly all the weight, the next round follows a power of
-the weights below 1.
+samples of it. Each round draws from Student's distribution with the mean and the covariance of the rounds
+before it. All samples are weighted by the likelihood over the mixture of all rounds' distributions (adaptive
+multiple importance sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance
+Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples have nearly all the weight,
+the next round follows a power of the weights below 1.
 """
 
 from functools import cache
@@ -40,11 +39,10 @@ IMPOSSIBLE = -1e9
 
 
 class Proposal(NamedTuple):
-    """Distributions from which the samples of the first rounds are drawn."""
+    """Distribution from which the samples of the first round are drawn."""
 
-    covariances: FloatArray
-    """A rough covariance of (dtau, dtheta) for each of these rounds, shape (K, 6, 6); the last one is rather
-    too large."""
+    covariance: FloatArray
+    """Rough covariance of (dtau, dtheta), rather too large, shape (6, 6)."""
     steps: FloatArray
     """``draws``."""
 
@@ -88,18 +86,16 @@ def sampled_posterior(
         start: pose of the target in the sensor.
         rays: rays, target and buffers.
         assumed: statistics of returns.
-        proposal: what the samples of the first rounds are drawn from.
+        proposal: what the samples of the first round are drawn from.
     """
-    covariances, steps = proposal
+    covariance, steps = proposal
     rounds, samples = steps.shape[0], steps.shape[1]
     total = rounds * samples
     x, logs, mixture = np.empty((total, 6)), np.empty(total), np.zeros(total)
     means, roots = np.zeros((rounds, 6)), np.zeros((rounds, 6, 6))
-    mean, spread, least = np.zeros(6), covariances[0], 1e-6 * np.diag(np.diag(covariances[-1]))
+    mean, spread, least = np.zeros(6), covariance.copy(), 1e-6 * np.diag(np.diag(covariance))
     weights, effective, known = np.zeros(total), 0.0, 0
     for number in range(rounds):
-        if number < covariances.shape[0]:
-            mean, spread = np.zeros(6), covariances[number]
         means[number], roots[number] = mean, np.linalg.cholesky(spread + least)
         for n in range(samples):
             step = mean + roots[number] @ steps[number, n]
@@ -117,7 +113,7 @@ def sampled_posterior(
         mean, spread = _moments(x[:known], weights)
         weights = _weights(ratios, 1.0)
         effective = _effective(weights)
-        if effective >= ENOUGH and number + 1 >= covariances.shape[0]:
+        if effective >= ENOUGH:
             break
     if effective >= SPREAD:
         mean, spread = _moments(x[:known], weights)
