@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
+from rpod_pose.lidar.posterior.sampled_posterior import SampledPosterior
 from rpod_pose.lidar.return_distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
@@ -335,18 +336,22 @@ class ScanSearch:
         """
         if not self.seen.range_m.any():
             return pose
-        statistics = self._scanner.statistics
-        for _ in range(RESUMED):
-            start = PoseArrays(pose.R, pose.t)
-            rough = neighbourhood(pose.information, start, self._scanner.reach)
-            found = statistics.posterior(self.seen, start, rough)
+        start, found = self._posterior(pose)
+        for _ in range(RESUMED - 1):
             refined = self._outline_refined(self._unrefined(*stepped(start, found.likeliest)))
             if not refined.fit.log_likelihood > pose.fit.log_likelihood + CHANCE:
                 break
             pose = refined
-        mean, fit, covariance = statistics.mean(self.seen, start, found)
+            start, found = self._posterior(pose)
+        mean, fit, covariance = self._scanner.statistics.mean(self.seen, start, found)
         information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
         return Pose(*mean, ScanFit.of(fit), information, found.log_mass)
+
+    def _posterior(self, pose: Pose) -> tuple[PoseArrays, SampledPosterior]:
+        """Return a pose and the posterior around it."""
+        start = PoseArrays(pose.R, pose.t)
+        rough = neighbourhood(pose.information, start, self._scanner.reach)
+        return start, self._scanner.statistics.posterior(self.seen, start, rough)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, without those close to a likelier one."""
