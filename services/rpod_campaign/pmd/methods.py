@@ -65,8 +65,8 @@ def pmd_input(
 
 def _without_limits(tracking: Any) -> Any:
     """Return a method's configuration with no limit of residuals, in itself or in its tuning."""
-    if hasattr(tracking, "acceptance"):
+    if isinstance(getattr(tracking, "acceptance", None), AcceptanceConfig):
         return tracking.model_copy(update={"acceptance": EVERY_POSE})
-    if hasattr(getattr(tracking, "tuning", None), "acceptance"):
+    if hasattr(tracking, "tuning"):
         return tracking.model_copy(update={"tuning": _without_limits(tracking.tuning)})
     return tracking

@@ -99,7 +99,7 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
         "right_hypothesis": any(
             limits.are_met(*errors(truth, each.pose, stage.target)) for each in found.hypotheses
         ),
-        "reason": found.belief.refusal,
+        "reason": found.belief.reason,
         "acquire_s": took_s,
     }
 

@@ -27,7 +27,6 @@ from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registr
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, unambiguous_range_m
-from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
@@ -57,7 +56,7 @@ class DepthPreparation:
     """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
-        self._sensor, self._target, self.radius_m = sensor, target, target.radius_m
+        self._sensor, self.radius_m = sensor, target.radius_m
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
@@ -121,24 +120,6 @@ class DepthPreparation:
         spread = np.hypot(np.std(column[near]) / frame.camera.fx, np.std(row[near]) / frame.camera.fy)
         return float(np.angle(mean) % (2.0 * np.pi) / (2.0 * np.pi) * interval_m), float(spread)
 
-    def determined(self, registration: Registration) -> Registration:
-        """Return a registration whose belief says whether the frame alone determines the pose well enough.
-
-        A wall that fills the image fits any flat face of the target, and a long cylinder both of whose ends
-        are outside the image fits at any place along its axis: such a pose must not begin a track. The angle
-        about a free axis does not count.
-        """
-        pose = registration.T_sensor_target
-        if pose is None or not registration.begins_track:
-            return registration
-        observed = self._target.equivalence.with_free_variance(
-            registration.covariance, rotation_matrix(pose), 0.0
-        )
-        open_motion = undetermined(
-            observed, max_sigma_m=_MOST_SIGMA * self.radius_m, max_sigma_deg=_MOST_SIGMA_DEG
-        )
-        return replace(registration, belief=replace(registration.belief, insufficient=open_motion))
-
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
         cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
@@ -159,7 +140,8 @@ class PreparedTracker:
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
-        return self._preparation.determined(self._tracker.track(prepared, T_sensor_target))
+        most_m = _MOST_SIGMA * self._preparation.radius_m
+        return _determined(self._tracker.track(prepared, T_sensor_target), max_sigma_m=most_m)
 
 
 class PreparedAcquirer:
@@ -176,7 +158,7 @@ class PreparedAcquirer:
         for prepared in self._preparation.possible(measurement):
             found = self._acquirer.acquire(prepared)
             if found.outcome is not Outcome.FAILED:
-                return self._determined(found)
+                return found
             failed = failed or found
         assert failed is not None  # noqa: S101 - one is always possible
         return failed
@@ -185,11 +167,7 @@ class PreparedAcquirer:
         """Search around a pose, which determines the multiple."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
-        prepared = self._preparation.predicted(measurement, T_sensor_target)
-        return self._determined(self._acquirer.near(prepared, T_sensor_target))
-
-    def _determined(self, found: Acquisition) -> Acquisition:
-        return replace(found, registration=self._preparation.determined(found.registration))
+        return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
 
 
 def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
@@ -223,6 +201,19 @@ def _mhz(hertz: tuple[float, ...]) -> str:
 
 def _refused(why: str) -> Acquisition:
     return Acquisition(Registration.none(Source.NONE, why))
+
+
+def _determined(registration: Registration, *, max_sigma_m: float) -> Registration:
+    """Return a registration whose belief says whether the frame alone determines the pose well enough.
+
+    A wall that fills the image fits any flat face of the target: such a pose must not begin a track.
+    """
+    if not registration.begins_track:
+        return registration
+    free_motion = undetermined(
+        registration.covariance, max_sigma_m=max_sigma_m, max_sigma_deg=_MOST_SIGMA_DEG
+    )
+    return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:

@@ -76,7 +76,7 @@ def test_what_was_resolved_can_be_read_again() -> None:
         ({"trajectory": {"kind": "orbit"}}, "trajectory", "orbit"),
         ({"attitude": {"kind": "spin", "axis": [0, 0, 0]}}, "attitude.spin.axis", "no direction"),
         ({"attitude": {"kind": "spin", "rate_deg_s": float("nan")}}, "attitude.spin.rate_deg_s", "finite"),
-        ({"attitude": {"kind": "tumble"}}, "attitude.tumble.rate_deg_s", "required"),
+        ({"attitude": {"kind": "tumble"}}, "attitude.tumble.rate_deg_s", "is missing"),
         (
             {"attitude": {"kind": "fixed", "R_chaser_target": {"translation_m": [0, 0, 0]}}},
             "attitude.fixed.R_chaser_target",
