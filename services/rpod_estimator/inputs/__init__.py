@@ -1,1 +1,1 @@
-"""What the estimator hears: frames, poses of known bodies, the IMU; and which of it was used."""
+"""Inputs of the estimator: frames, poses of known bodies, the IMU; and which of them were used."""

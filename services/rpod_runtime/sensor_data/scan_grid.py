@@ -114,9 +114,8 @@ class GridInference:
             columns = self._organised("azimuth", azimuth, returned, 0)
             rows = self._organised("elevation", elevation, returned, 1)
         else:
-            seen = returned & is_ahead(
-                azimuth
-            )  # a head that turns all around in a room sees walls all around
+            # a head that turns all around in a room sees walls all around
+            seen = returned & is_ahead(azimuth)
             azimuth, elevation = azimuth[seen], elevation[seen]
             if self.pattern is not None and _covers(self.pattern, azimuth, elevation):
                 return
