@@ -106,7 +106,8 @@ class Progress:
             self._live.update(self._screen())
         elif time.monotonic() - self._plain_s > _PLAIN_PERIOD_S:
             self._plain_s = time.monotonic()
-            self._console.print("  ".join(text.plain for text in self._cells()))
+            line = "  ".join(text.plain for text in self._cells())
+            self._console.print(line.rstrip(), soft_wrap=True, highlight=False)
             for text in self._troubles():
                 self._console.print(text, soft_wrap=True, highlight=False)
 
@@ -177,8 +178,15 @@ class Progress:
             Text(rates),
             Text(f"{mode:9}", style=_STYLES.get(seen.mode, "dim") if seen.mode is not None else "dim"),
             Text(f"{seen.accepted}/{seen.frames} accepted"),
-            Text(f"error {seen.attitude_deg:.2f} deg  {1e3 * seen.position_m:.0f} mm" if seen.truth else ""),
+            Text(self._error()),
         ]
+
+    def _error(self) -> str:
+        """Return the error of the newest estimate; nothing before the first one."""
+        seen = self._seen
+        if not np.isfinite(seen.position_m):
+            return ""
+        return f"error {seen.attitude_deg:.2f} deg  {1e3 * seen.position_m:.0f} mm"
 
     def _troubles(self) -> list[Text]:
         return [

@@ -129,13 +129,20 @@ def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
     return ScanFrames(pattern)
 
 
-def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan]:
-    """Return a scan without noise, for the warm-up."""
+_FEW_RETURNS = 24
+"""Returns of the second ideal scan: so few that the pose is the mean of a sampled posterior."""
+
+
+def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan, ...]:
+    """Return a scan without noise, and the same with few returns, for the warm-up."""
     grid = pattern.grid
     hits = cast(grid, target.triangles_m, T_lidar_target)
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
-    points_m = (range_m[..., None] * grid.directions).astype(np.float32)
-    return (LidarScan(stamp_ns=0, frame_id="", points_m=points_m),)
+    whole = (range_m[..., None] * grid.directions).astype(np.float32)
+    returns = np.argwhere(np.isfinite(range_m))
+    few = whole.copy()
+    few[tuple(np.delete(returns, np.s_[:: len(returns) // _FEW_RETURNS + 1], axis=0).T)] = np.nan
+    return tuple(LidarScan(stamp_ns=0, frame_id="", points_m=points_m) for points_m in (whole, few))
 
 
 def masked(scan: LidarScan, hit: Callable[[Float32Array], NDArray[np.bool_]]) -> LidarScan:
