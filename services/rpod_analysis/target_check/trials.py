@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
+from rpod_pose.methods import kind_methods
 from rpod_pose.ports import Acquisition, Task
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.sensors import Method, SensorKind, methods, sensor_kinds
@@ -150,23 +151,29 @@ def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -
 
 
 def _made(emulated: EmulatedKind, target: Target) -> list[_Tried]:
-    """Return the kind's methods, ready and warmed up; acquisition by the sensor's default tracker."""
+    """Return the kind's methods as an estimator makes them, those for tracking first."""
     heard: Any = emulated.heard
     defaults = {heard.tracking.kind, heard.acquisition.kind}
-    task = Task(target, heard, emulated.setup)
     found: list[_Tried] = []
     for each in sorted(methods(emulated.kind.name), key=lambda one: one.role != "tracking"):
         one = _Tried(each, each.name in defaults)
-        trackers = {other.method.name: other.made for other in found if other.made is not None}
-        tracker = trackers.get(heard.tracking.kind)
-        uses = task if each.role == "tracking" or tracker is None else task.with_tracker(tracker)
         config: Any = each.config
+        sensor = heard.model_copy(update={each.role: config()})
         try:
-            one.made = each.built(config(), uses)
+            one.made = _prepared(each, Task(target, sensor, emulated.setup))
         except (SchemaError, ValueError, IndexError) as error:
             one.reason = " ".join(str(error).split())
         found.append(one)
     return found
+
+
+def _prepared(one: Method, task: Task) -> Any:
+    """Return a configured method with what its kind does to frames before, such as unwrapping distances."""
+    kind = kind_methods(task.sensor)
+    if one.role == "tracking" and kind.tracker is not None:
+        return kind.tracker(task)
+    made = kind.make(task)
+    return made.tracker if one.role == "tracking" else made.acquirer
 
 
 def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target: Target) -> _Trial:

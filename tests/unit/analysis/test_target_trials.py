@@ -12,14 +12,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.target_check.conditions import conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_analysis.target_check.trials import error_of, try_methods
+from rpod_pose.lidar.methods import LIDAR_METHODS
 from rpod_pose.methods import methods_of
-from rpod_pose.ports import Registration, Task
+from rpod_pose.pmd.depth_preparation import DepthPreparation
+from rpod_pose.ports import Methods, Registration, Task
 from rpod_schemas import registry
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.sensors import Method, sensor_kind
+from rpod_schemas.sensors import Method, method, sensor_kind
 from rpod_schemas.sensors.lidar import LIDAR
 from rpod_schemas.types import Source
 from rpod_target import Target, load_target
@@ -85,7 +87,20 @@ def give_up(_: GiveUpConfig, __: Task) -> object:
     raise ValueError("needs a body with a nose")
 
 
-PROBE = replace(LIDAR, name="probe", emulated=ProbeConfig, heard=ProbeInput)
+def tracker(task: Task) -> Guess:
+    made: Guess = method("probe", task.sensor.tracking.kind).built(task.sensor.tracking, task)
+    return made
+
+
+def make(task: Task) -> Methods:
+    acquirer = method("probe", task.sensor.acquisition.kind).built(task.sensor.acquisition, task)
+    return Methods(acquirer, tracker(task))
+
+
+PROBE_METHODS = replace(LIDAR_METHODS, make=make, tracker=tracker)
+PROBE = replace(
+    LIDAR, name="probe", emulated=ProbeConfig, heard=ProbeInput, methods=f"{__name__}:PROBE_METHODS"
+)
 GUESS = Method("probe", "tracking", GuessConfig, f"{__name__}:guess")
 GIVE_UP = Method("probe", "acquisition", GiveUpConfig, f"{__name__}:give_up")
 
@@ -100,7 +115,7 @@ def only_a_probe(monkeypatch: pytest.MonkeyPatch):
     for function in (registry._entries, registry.load, registry.resolve):
         function.cache_clear()
     real = registry.resolve_name
-    own = {GUESS.build: guess, GIVE_UP.build: give_up}
+    own = {GUESS.build: guess, GIVE_UP.build: give_up, PROBE.methods: PROBE_METHODS}
     monkeypatch.setattr(registry, "resolve_name", lambda name: own.get(name) or real(name))
     monkeypatch.setattr(registry, "entry_points", lambda group: [e for e in entries if e.group == group])
     monkeypatch.setattr(EntryPoint, "load", lambda entry: objects[entry.name])
@@ -171,6 +186,16 @@ def test_an_exact_symmetry_is_no_error(target: Target) -> None:
     assert error_of(half, truth, target)[0] == pytest.approx(180.0)
     same = replace(target, symmetries=(Symmetry((0.0, 0.0, 1.0), 2, exact=True),))
     assert error_of(half, truth, same)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_camera_s_distances_are_unwrapped_before_its_methods(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared = []
+    applied = DepthPreparation._applied
+    monkeypatch.setattr(DepthPreparation, "_applied", lambda *args: prepared.append(args) or applied(*args))
+    found = try_methods(target, trials=1, kinds=[sensor_kind("pmd")])
+    assert len(prepared) >= sum(one.total.frames for one in found) > 2
 
 
 @pytest.mark.usefixtures("only_a_probe")
