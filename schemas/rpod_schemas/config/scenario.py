@@ -1,6 +1,6 @@
 """A scenario: everything that a run needs, in one YAML or TOML file."""
 
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -67,12 +67,25 @@ class Scenario(Config):
     link: Link = LinkConfig()
     """Tuning of all links to the router: ``fast``, ``slow``, or field by field."""
     estimator: ScenarioEstimator
-    """Sensors, navigator and filter of the estimator, and the target that it looks for."""
+    """Sensors, navigator and filter of the estimator, and the target that it looks for. If it names no
+    sensors, it listens to all, each with the default configuration of its kind."""
 
     @property
     def model(self) -> str:
         """Name or file of the target that the estimator looks for."""
         return self.estimator.target or self.target
+
+    @model_validator(mode="before")
+    @classmethod
+    def _estimator_hears_all(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("sensors"), list | tuple):
+            return data
+        estimator = data.get("estimator", {})
+        if not isinstance(estimator, dict) or "sensors" in estimator:
+            return data
+        emulated = (each for each in data["sensors"] if isinstance(each, dict))
+        heard = [{key: each[key] for key in ("kind", "name") if key in each} for each in emulated]
+        return {**data, "estimator": {**estimator, "sensors": heard}}
 
     @model_validator(mode="after")
     def _estimator_hears_the_sensors(self) -> Self:

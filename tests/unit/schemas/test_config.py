@@ -2,10 +2,11 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from rpod_schemas.config.base import Config, Positive, check, load, read_document
 from rpod_schemas.config.facility.logger import LoggerConfig
+from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import Pose
 
@@ -117,3 +118,32 @@ def test_a_configuration_is_frozen():
     config = LoggerConfig()
     with pytest.raises(ValueError, match="frozen"):
         config.instance = "other"
+
+
+SCENARIO = {
+    "name": "two-sensors",
+    "title": "A camera and a LIDAR before the mock-up",
+    "target": "mockup",
+    "duration_s": 5.0,
+    "motion": {
+        "trajectory": {"kind": "approach", "start_m": [0, 0, 6], "end_m": [0, 0, 3]},
+        "attitude": {"kind": "spin", "axis": [1, 0, 0], "rate_deg_s": 3},
+        "sun": {"direction": [0, 0, -1]},
+    },
+    "sensors": [{"kind": "pmd", "name": "near"}, {"kind": "lidar"}],
+}
+
+
+def test_the_estimator_of_a_scenario_listens_to_all_sensors_if_it_names_none():
+    for estimator in ({}, {"estimator": {}}, {"estimator": {"filter": {"errors": "considered"}}}):
+        scenario = Scenario.model_validate(SCENARIO | estimator)
+        heard = [(sensor.kind, sensor.name) for sensor in scenario.estimator.sensors]
+        assert heard == [("pmd", "near"), ("lidar", "lidar")]
+    only = {"estimator": {"sensors": [{"kind": "lidar"}]}}
+    assert [each.kind for each in Scenario.model_validate(SCENARIO | only).estimator.sensors] == ["lidar"]
+
+
+@pytest.mark.parametrize("sensors", [[], [{"kind": "sonar"}], [7], "pmd"])
+def test_a_scenario_without_usable_sensors_names_them(sensors):
+    with pytest.raises(ValidationError, match="sensors"):
+        Scenario.model_validate(SCENARIO | {"sensors": sensors})
