@@ -151,7 +151,9 @@ class JointTracker:
         tuning = self._tuning
         pose = sight.expected.pose
         share, in_place = self._explained(seen, pose), self._in_place(seen, sight, pose)
-        if in_place >= tuning.near_share:
+        if in_place is None and share >= tuning.fair_share:
+            yield State(pose, 0.0), self._near
+        elif in_place is not None and in_place >= tuning.near_share:
             yield State(pose, 0.0), self._narrow if in_place >= tuning.accurate_share else self._near
         if share >= tuning.fair_share or len(seen.points_m) < tuning.acceptance.min_points:
             yield State(pose, 0.0), self._full
@@ -182,7 +184,7 @@ class JointTracker:
             bias_m = move * reach_px / px_per_m
             moved = PoseArrays(pose.R, pose.t * max(1.0 - bias_m / range_m, NEAREST_M / range_m))
             in_place = self._in_place(seen, sight, moved)
-            if in_place > most:
+            if in_place is not None and in_place > most:
                 best, most = State(moved, bias_m), in_place
         return best
 
@@ -318,14 +320,14 @@ class JointTracker:
         )
         return agreeing / checked if checked else 0.0
 
-    def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float:
-        """Return the share of the expected edges that are near their place at a pose."""
+    def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
+        """Return the share of the expected edges that are near their place at a pose; None if few are seen."""
         tuning = self._tuning
         wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
         if found.checked < tuning.acceptance.min_edges:
-            return 0.0
+            return None
         return found.found / max(found.expected, 1.0)
 
     def _contradictions(
