@@ -1,7 +1,6 @@
 import ast
 import re
 import tomllib
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ COMPILED_ELSEWHERE = ("rpod_geometry/kernels.py",)
 CROWDED = 15
 """Most modules of a folder in which a reader still finds a file."""
 ROOMS = sorted({file.parent for file in SOURCES})
-POSE = [file for file in SOURCES if "rpod_pose" in file.parts]
 LONG_FUNCTION = 50
 """Most lines of a function, without its docstring."""
 LONG = 400
@@ -45,25 +43,6 @@ def test_no_function_is_long():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     }
     assert not {name: number for name, number in lines.items() if number > LONG_FUNCTION}
-
-
-def _is_number(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
-
-
-def _is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-
-
-@pytest.mark.parametrize("file", POSE, ids=lambda file: str(file.relative_to(ROOT)))
-def test_a_number_of_pose_estimation_says_what_it_is(file):
-    body = ast.parse(file.read_text("utf-8")).body
-    mute = [
-        ast.unparse(node)
-        for node, after in pairwise([*body, ast.Pass()])
-        if isinstance(node, ast.Assign) and any(map(_is_number, ast.walk(node))) and not _is_text(after)
-    ]
-    assert not mute
 
 
 def test_no_module_is_long():

@@ -23,8 +23,8 @@ from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 
 LEAST_RESPONSE = 0.5
-"""Least mean derivative of a robust residual over its mean weight: normal errors at a scale of three standard
-deviations have 0.7."""
+"""Least mean derivative of a robust residual over its mean weight. Hand: normal errors at a scale of three
+standard deviations have 0.7."""
 
 
 class FaceRows(NamedTuple):

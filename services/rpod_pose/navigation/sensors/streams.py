@@ -9,7 +9,8 @@ from rpod_schemas.messages import NANOSECONDS
 RESTS = "not searched: the last search was in vain, and another sensor must not wait"
 """Reason for which a frame without a track is not used."""
 PERIODS = 1.5
-"""Number of its own periods in which a slow sensor must deliver its next measurement."""
+"""Number of its own periods in which a slow sensor must deliver its next measurement. Hand: half a period for
+jitter; two would wait for a measurement that is lost."""
 
 
 @dataclass(frozen=True)

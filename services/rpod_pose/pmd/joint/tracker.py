@@ -69,13 +69,15 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
 STILL_PX = 0.5
-"""Motion in the image up to which a rendering still shows which edges to expect: half a pixel."""
+"""Motion in the image up to which a rendering still shows which edges to expect. Hand: half a pixel."""
 LAST_STEPS = 2
-"""Number of the last steps, before which the target is rendered again if it has moved."""
+"""Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
-"""Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
+"""Largest bias at which edges are searched in standard deviations, and number of the places on each side.
+Physics: one in 22 normal biases is larger. Numerics: the number is a budget."""
 MOST_WIDER = 3.0
-"""Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
+"""Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels.
+Numerics: a budget; the reach is also at most ``edge_search.MOST_REACH``."""
 
 
 class JointTracker:
