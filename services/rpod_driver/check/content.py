@@ -12,12 +12,8 @@ from rpod_driver.check.observations import Kept, Observations, middle_m
 from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
-from rpod_schemas.types import PmdInfo
 
-_LIGHT_M_S = 299_792_458.0
 _NEAR_M = 0.01
-_WRAPS = 10.0
-"""Number of unambiguous ranges that several modulation frequencies may extend."""
 _SATURATED_SHARE = 0.1
 """Share of the lit pixels that may be saturated: a glint, not an exposure."""
 _IMAGE_BINS, _SCAN_BINS, _LEAST_POINTS = 24, 12, 4
@@ -191,11 +187,8 @@ def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
         return unchecked(line, "no frame with a return could be read")
     middle = float(np.median(middles))
     most_m = farthest_m
-    if isinstance(seen.info, PmdInfo) and seen.info.modulation_frequency_hz.size:
-        unambiguous_m = _LIGHT_M_S / (2.0 * float(seen.info.modulation_frequency_hz.min()))
-        limit_m = unambiguous_m * (_WRAPS if seen.info.modulation_frequency_hz.size > 1 else 1.0)
-        if limit_m < most_m:
-            most_m, why = limit_m, "its modulation frequencies measure no farther"
+    if seen.info is not None and seen.info.farthest_m < most_m:
+        most_m, why = seen.info.farthest_m, "the settings in its info measure no farther"
     text = f"median distance {middle:.3g} m"
     if middle > most_m:
         return fail(line, f"{text}, more than {most_m:.3g} m: {why}", "millimetres", median_m=middle)
