@@ -1,7 +1,7 @@
 """Cache of built targets: one file per digest, written atomically, so that several daemons may build.
 
-A file also holds the digest of its arrays. One whose arrays are others, because it was changed after it was
-built, is not used.
+A file also holds the digest of its arrays. A file whose arrays differ from it was changed after it was built,
+and is not used.
 """
 
 import hashlib

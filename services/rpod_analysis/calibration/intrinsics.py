@@ -16,7 +16,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera
 
 _MOST_IMAGES = 60
-"""Largest number of images in the fit, chosen so that they differ most; more of the same hardly tell more."""
+"""Largest number of images in the fit, chosen so that they differ most; similar images add little."""
 _LEAST_IMAGES = 6
 _LEAST_MOVE_SHARE = 0.05
 """Least mean motion of the corners between two images, as a share of the image's width."""

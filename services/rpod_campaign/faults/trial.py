@@ -1,8 +1,8 @@
 """A sequence through messages, faults and the whole estimator, in this process.
 
 The sensor's frames become messages, the catalogue's injections change them as in the emulator, and the
-estimator reads what comes of it. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and
-after ``kill`` it begins anew, without a pose.
+estimator reads the result. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and after
+``kill`` it begins anew, without a pose.
 """
 
 from collections.abc import Iterator

@@ -27,7 +27,7 @@ _EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
 
 
 def content(seen: Observations) -> CheckResult:
-    """Judge whether the frames can be read."""
+    """Check whether the frames can be read."""
     line = "content"
     if not seen.frames:
         return unchecked(line, "no frame is complete")
@@ -41,7 +41,7 @@ def content(seen: Observations) -> CheckResult:
 
 
 def frozen(seen: Observations) -> CheckResult:
-    """Judge whether content repeats under another stamp: noise never repeats to the bit."""
+    """Check whether content repeats under another stamp: noise never repeats to the bit."""
     line = "frozen"
     blank = not any(each.frame.returns_m.size or _has_depth(each) for each in seen.kept)
     if len(seen.leads) < 2 or blank:
@@ -68,7 +68,7 @@ def _pairs(seen: Observations) -> Iterator[tuple[Kept, Kept]]:
 
 
 def returns(seen: Observations) -> CheckResult:
-    """Judge whether there are returns, and whether whole blocks of them come and go."""
+    """Check whether there are returns, and whether whole blocks of them come and go."""
     line = "returns"
     empty = sum(reason in _EMPTY for reason, _ in seen.refused)
     filled = [kept for kept in seen.kept if kept.frame.returns_m.size or _has_depth(kept)]
@@ -145,7 +145,7 @@ def _point_blocks(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.intp]
 
 
 def saturation(seen: Observations) -> CheckResult:
-    """Judge how many of the lit pixels are saturated."""
+    """Check how many of the lit pixels are saturated."""
     line = "saturation"
     shares = []
     for kept in seen.kept:
@@ -164,7 +164,7 @@ def saturation(seen: Observations) -> CheckResult:
 
 
 def values(seen: Observations) -> CheckResult:
-    """Judge whether pixels without depth are NaN, and no depth is negative."""
+    """Check whether pixels without depth are NaN, and no depth is negative."""
     line = "values"
     floats = [kept.raw for kept in seen.kept if kept.encoding == "32FC1"]
     if not floats:
@@ -178,7 +178,7 @@ def values(seen: Observations) -> CheckResult:
 
 
 def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
-    """Judge whether distances can be metres: the median is at most ``farthest_m``, for the reason ``why``."""
+    """Check whether distances can be metres: the median is at most ``farthest_m``, for the reason ``why``."""
     line = "unit"
     unit_m = seen.options.source.depth_unit_m
     middles = [middle_m(kept.raw, kept.encoding, unit_m) for kept in seen.kept] + seen.raw_middle_m
@@ -198,7 +198,7 @@ def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
 
 
 def partial(seen: Observations) -> CheckResult:
-    """Judge whether frames or scans are cut."""
+    """Check whether frames or scans are cut."""
     line = "partial"
     if len(seen.kept) < 4:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")

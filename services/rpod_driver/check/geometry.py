@@ -226,7 +226,7 @@ def _instant(seen: Observations, dt_s: float, sigma_s: float) -> CheckResult:
 
 
 def _range(range_m: float, along_m: float, sigmas: FloatArray) -> CheckResult:
-    """Judge the error that all ranges share; a mount that is off along the boresight looks the same."""
+    """Check the error that all ranges share; a mount that is off along the boresight looks the same."""
     total_m = range_m - along_m
     sigma_m = float(min(sigmas[1], sigmas[4]))
     text = f"{1e3 * total_m:+.1f} mm along the boresight, mount and range together"

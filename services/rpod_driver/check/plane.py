@@ -25,7 +25,7 @@ _CONTRAST = 0.5
 
 
 def depth_model(seen: Observations) -> CheckResult:
-    """Judge whether depth is z-depth, on planes in view."""
+    """Check whether depth is z-depth, on planes in view."""
     line = "depth_model"
     frames = [kept.frame for kept in seen.kept if isinstance(kept.frame, PmdFrame)]
     if not frames:

@@ -22,7 +22,7 @@ _TAI_WITHIN_S = 1.0
 
 
 def order(seen: Observations) -> CheckResult:
-    """Judge whether stamps rise."""
+    """Check whether stamps rise."""
     line = "order"
     if len(seen.leads) < 2:
         return unchecked(line, f"{len(seen.leads)} frames came")
@@ -34,7 +34,7 @@ def order(seen: Observations) -> CheckResult:
 
 
 def jitter(seen: Observations) -> CheckResult:
-    """Judge how even the stamps are, whatever frames are missing."""
+    """Check how even the stamps are, whatever frames are missing."""
     line = "jitter"
     if reason := few(seen):
         return unchecked(line, reason)
@@ -52,7 +52,7 @@ def jitter(seen: Observations) -> CheckResult:
 
 
 def clock(seen: Observations) -> CheckResult:
-    """Judge the stamps against the time of arrival, within the limits of the estimator."""
+    """Check the stamps against the time of arrival, within the limits of the estimator."""
     line = "clock"
     if not seen.leads:
         return unchecked(line, "no frame came")
@@ -84,7 +84,7 @@ def _name(ahead_s: float, stamp_ns: int) -> str:
 
 
 def drift(seen: Observations) -> CheckResult:
-    """Judge whether the sensor's clock runs as fast as this machine's.
+    """Check whether the sensor's clock runs as fast as this machine's.
 
     Delays only add. So the least difference between arrival and stamp in each stretch follows the clock.
     """

@@ -1,4 +1,4 @@
-"""Readings beside the sensors' frames: heard from the bus up to each frame's stamp."""
+"""Readings beside the sensors' frames: received from the bus up to each frame's stamp."""
 
 import logging
 import time

@@ -32,8 +32,8 @@ FEWEST = 3
 """Least number of returns on faces that determine a step. Physics: each gives one equation, and the prior of
 a step holds the rest."""
 INFLUENTIAL = 0.75
-"""Leverage above which one return alone determines a motion: it may be on the wrong face. Hand: without that
-return a motion would have a quarter of its information; the return may be on the wrong face."""
+"""Leverage above which one return alone determines a motion: it may be on the wrong face. Hand: without this
+return the motion has a quarter of its information."""
 PARALLEL = 1e-6
 """Least squared cosine of incidence in a division, for a face seen edge-on. Numerics: it avoids a division by
 zero; ``steepest`` is larger in practice."""

@@ -44,8 +44,8 @@ ENTROPY = sqrt(2.0 * pi * e)
 information is the logarithm of the width of what is known before over that of what is known after it.
 Physics: sqrt(2 pi e)."""
 LARGE = 1e3
-"""Size of a target in standard deviations of a range from which on a return counts fully: 25 m for 25 mm.
-Hand: 25 m for 25 mm, about ENVISAT for the documented LIDAR."""
+"""Size of a target in standard deviations of a range from which on a return counts fully. Hand: 25 m for 25
+mm, about ENVISAT for the documented LIDAR."""
 LEAST_DEVIATION = 3.0
 """Least standard deviation of a deficit, for scans in which almost nothing is random. Hand: a scan in which
 all rays are certain would refuse each deficit."""
@@ -196,8 +196,9 @@ class ScanModel:
     def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
         """Return the numbers by which a fit is believed.
 
-        Of a share s of rays that disagree, s + 2 sqrt(s / returns) may be found: two standard deviations of
-        their number. ``disagreeing_share`` is the s for which the share that was found is just allowed.
+        If a share s of the rays disagrees on average, up to s + 2 sqrt(s / returns) may be found: two
+        standard deviations more. ``disagreeing_share`` is the s for which the share that was found is just
+        allowed.
         """
         chance = sqrt(1.0 / returns)
         return {

@@ -79,7 +79,7 @@ def _refusal(bus: BusConfig, link: socket.socket, host: str) -> str:
     context.load_cert_chain(bus.credentials / IDENTITY)
     try:
         with context.wrap_socket(link, server_hostname=host) as secured, suppress(TimeoutError):
-            secured.recv(1)  # in TLS 1.3 the server judges the client's certificate after the handshake
+            secured.recv(1)  # in TLS 1.3 the server checks the client's certificate after the handshake
     except ssl.SSLError as error:
         text = str(error).lower()
         found = (meaning for pattern, meaning in _REASONS if re.search(pattern, text.replace("_", " ")))

@@ -38,7 +38,7 @@ _MOST_BODIES = 100
 _SEEN = 0.5 / 128
 """Share of the directions that see a side, above which it is a surface of the target: one direction."""
 _CLEARLY = 1.2
-"""Ratio of what is seen of a patch's two sides, above which the patch faces the wrong way."""
+"""Visibility of a patch's back over that of its front, above which the patch faces the wrong way."""
 
 
 @dataclass(frozen=True, eq=False)

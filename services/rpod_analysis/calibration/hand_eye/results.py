@@ -22,8 +22,8 @@ from rpod_schemas.config.source import FORWARD_BORESIGHT, SourceConfig
 from rpod_schemas.poses import pose_of
 
 AIM_M, AIM_DEG, AIM_S = 0.3e-3, 0.02, 0.2e-3
-"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; where they are not,
-the missing motion is told."""
+"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; where they are larger,
+the text names the missing motion."""
 _CONFOUNDED = 0.9
 _LASTING = 0.5
 """Correlation of successive blocks above which the stated deviations are too small."""
@@ -97,7 +97,7 @@ def clock_findings(found: HandEye) -> Iterator[str]:
 
 
 def warnings_of(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
-    """Yield how well sensor and truth agree, which values are uncertain, and which motion would tell them."""
+    """Yield how well sensor and truth agree, which values are uncertain, and which motion is missing."""
     yield (
         f"residuals     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.3f} deg (RMS of "
         f"{found.pairs - found.outliers} pairs; {found.outliers} outliers, {found.unused} poses without "

@@ -1,6 +1,6 @@
 """First values of a hand-eye calibration: the clock by the rates of rotation, then mount and holder.
 
-Rates of rotation are the same in both series, whatever mount and holder are, so their correlation tells the
+Rates of rotation are the same in both series, whatever mount and holder are, so their correlation gives the
 clock's offset. Relative motions C X = X A then give the mount: rotation vectors by Park and Martin (IEEE
 Trans. Robotics 10(5), 1994), here by ``Rotation.align_vectors``, and the position by linear least squares.
 """
