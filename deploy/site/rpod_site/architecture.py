@@ -1,4 +1,4 @@
-"""The picture of the architecture, drawn from the imports: packages in layers, and those within ``rpod_pose``.
+"""The picture of the architecture, drawn from the imports: packages in layers, and those of ``rpod_pose``.
 
 ``python -m rpod_site.architecture`` writes ``docs/images/architecture.svg`` anew. An arrow runs from a
 package to one that it imports; an import that follows from others is left out.

@@ -8,6 +8,7 @@ from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
+from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.messages import NANOSECONDS
 
@@ -43,7 +44,7 @@ def jitter(seen: Observations) -> CheckResult:
         return unchecked(line, "stamps do not rise")
     steps_s = np.diff([heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
     off_s = steps_s - period_s * np.round(steps_s / period_s)
-    sigma_s = float(1.4826 * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
+    sigma_s = float(MAD_TO_SIGMA * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
     limit_s = max(_JITTER_S, _JITTER_SHARE * period_s)
     text = f"{1e3 * sigma_s:.3f} ms about a period of {1e3 * period_s:.3f} ms, limit {1e3 * limit_s:.1f} ms"
     if sigma_s > limit_s:

@@ -19,7 +19,7 @@ from rpod_geometry.kernels import kernel
 from rpod_pose.ports import Angle
 from rpod_pose.registration.distance_field import FieldArrays, field_arrays, field_at
 from rpod_pose.registration.lie_group import Vector
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_target import Joint, Target
 
 STEP_RAD = radians(1.0)
@@ -39,8 +39,6 @@ WIDE_RAD, NARROW, STEPS = radians(15.0), 0.05, 12
 """Steps in which pose and angles are fitted together: the first Geman-McClure scale as an angle of the joint,
 the last one over it, and their number. Numerics: half of ``methods.STEP_RAD``, narrowed by a quarter a
 step."""
-NORMAL = 1.4826
-"""Standard deviation over the median of absolute values. Physics: of normal errors."""
 WEAK = 1e-4
 """Share of the mean information that is added to that of each unknown, so that none is undetermined.
 Numerics: it changes a step that is determined by one part in 10,000."""
@@ -206,7 +204,7 @@ class JointSolver:
             seen = self._surface(places_m, self.joints, {**at, joint.name: Angle(float(best), 0.0)}, joint)
             near = np.abs(seen.distance_m) < scale_m
             scale_m = max(
-                NORMAL * float(np.median(np.abs(seen.distance_m[near]))) if near.any() else 0.0, 1e-4
+                MAD_TO_SIGMA * float(np.median(np.abs(seen.distance_m[near]))) if near.any() else 0.0, 1e-4
             )
             if not fine:
                 bias_m = _bias_m(seen, rays, near)

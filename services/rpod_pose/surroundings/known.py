@@ -19,6 +19,7 @@ from rpod_pose.errors import PoseError
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_pose.surroundings.methods import Frames
 from rpod_pose.surroundings.separation import Label
+from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.base import load
 from rpod_schemas.config.surroundings import KnownSurroundings, SensorSurroundings
 from rpod_schemas.types import Float32Array
@@ -31,8 +32,6 @@ SIGMAS = 4.0
 Physics: one in 16,000 normal errors is larger."""
 RESOLUTION = 2e-3
 """Least standard deviation of a range, over the range. Hand: clocks and temperature drift."""
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation over the median of absolute values. Physics: of normal errors."""
 MOST_FRAMES = 200
 """Most frames from which a background is learned, spread evenly over all. Numerics: memory; a median is then
 known to a tenth of the noise."""
