@@ -38,6 +38,7 @@ UNAIDED = (NEAR, SEARCHED)
 """Starts whose right poses limits are derived from; each other start may give the same pose again."""
 TURNS_DEG = (8.0, 15.0, 30.0)
 """Angles by which the truth is turned about random axes."""
+_INPUTS: dict[str, type[LidarInput | PmdInput]] = {"lidar": LidarInput, "pmd": PmdInput}
 MOST_RIVALS = 3
 """Largest number of rivals of a search from which the tracker starts."""
 _TURN = 21
@@ -59,7 +60,7 @@ class LimitsCell(PopulationCell):
 
 def input_of(sensor: str) -> LidarInput | PmdInput:
     """Return the default configuration of a sensor's methods."""
-    return LidarInput() if sensor == "lidar" else PmdInput()
+    return _INPUTS[sensor]()
 
 
 EVIDENCE = sorted(
