@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from hatchling.builders.wheel import WheelBuilder
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("schemas", "services", "sim_sensor")
@@ -43,6 +44,14 @@ def test_no_function_is_long():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     }
     assert not {name: number for name, number in lines.items() if number > LONG_FUNCTION}
+
+
+def test_every_module_is_in_the_wheel():
+    held = {file.distribution_path for file in WheelBuilder(str(ROOT)).recurse_included_files()}
+    paths = {
+        str(file.relative_to(ROOT / folder)) for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")
+    }
+    assert paths - held == set()
 
 
 def test_no_module_is_long():

@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.errors import TargetError
 from rpod_target.build.interior import Body
+from rpod_target.build.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
+from rpod_target.errors import TargetError
 from rpod_target.mesh.files import MeshFile, read_mesh_file
 from rpod_target.mesh.repair import RepairedMesh, repair
+from rpod_target.mesh.simplification import coarser, simplified
+from rpod_target.mesh.topology import Indices, separate_surfaces
 from rpod_target.parameters import (
     BoxParameters,
     CylinderParameters,
@@ -25,9 +28,6 @@ from rpod_target.parameters import (
     PrismParameters,
     TargetParameters,
 )
-from rpod_target.mesh.simplification import coarser, simplified
-from rpod_target.build.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
-from rpod_target.mesh.topology import Indices, separate_surfaces
 from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 
