@@ -254,9 +254,8 @@ class PublisherEnds:
 
     def _waits_for(self, session: _Session, since_s: float) -> bool:
         if session.gone is not None:
-            return not self._left_with_link(
-                session.gone.stamp_ns
-            )  # who was lost with the link may be away for long
+            # a service that was lost with the link may be away for long
+            return not self._left_with_link(session.gone.stamp_ns)
         silent = session.reported_s < since_s and not session.closing
         return session.is_there and (silent or bool(session.shortfalls()))
 
