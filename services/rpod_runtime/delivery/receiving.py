@@ -120,7 +120,7 @@ class Delivery:
         if not self._forgets:
             self._forgets = True
             log.warning(
-                "there were more than %d publishers; those silent longest are forgotten, and the next message of "
+                "there were more than %d publishers; the longest silent are forgotten, and the next message of "
                 "one of them counts as its first",
                 MOST_PUBLICATIONS,
             )
