@@ -48,7 +48,7 @@ def read(file: Path) -> dict[str, Array] | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     if str(built) != _digest(arrays):
-        text = f"{file} was changed after it was built; the target is built anew"
+        text = f"{file} was changed after it was built; the target is built again"
         warnings.warn(text, stacklevel=2)  # a package without a log
         return None
     return {**arrays, DIGEST: built}

@@ -113,7 +113,7 @@ def _measure(session: zenoh.Session, key: str, endpoint: str) -> Finding:
     if not pings or None in times_s:
         return Finding(
             check, Level.FAIL, f"{_BLOCK_BYTES >> 20} MiB are not echoed within {_TIMEOUT_S:g} s",
-            "look at the network: ethtool, and ping with large packets",
+            "check the network: ethtool, and ping with large packets",
         )  # fmt: skip
     # each echo crosses the link twice in each direction, as query and as answer
     rate = 2.0 * _BLOCK_BYTES * _BLOCKS / sum(filter(None, times_s))

@@ -63,7 +63,7 @@ def clock() -> Finding:
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(told))
     except AttributeError:
-        return Finding("clock", Level.UNCHECKED, "this system has no adjtimex", "look at its time service")
+        return Finding("clock", Level.UNCHECKED, "this system has no adjtimex", "check its time service")
     if state < 0:
         return Finding(
             "clock", Level.UNCHECKED, f"adjtimex: {os.strerror(ctypes.get_errno())}",

@@ -120,8 +120,8 @@ class Delivery:
         if not self._forgets:
             self._forgets = True
             log.warning(
-                "there were more than %d publishers; the longest silent are forgotten, and the next message of "
-                "one of them counts as its first",
+                "there were more than %d publishers; the longest silent are forgotten: the next message "
+                "of each counts as its first",
                 MOST_PUBLICATIONS,
             )
         self._health.put("publishers/forgotten", self._account.forgotten)

@@ -107,8 +107,8 @@ def warnings_of(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
     yield from _motion_missing(found)
     if abs(found.depth_correlation) > _CONFOUNDED:
         yield (
-            "note: depth offset and mount along the boresight are told apart by what is known of the depth "
-            "only (--depth-sigma-mm); calibrate the depth first, or measure one distance"
+            "note: depth offset and mount along the boresight are separated only by what is known of the "
+            "depth (--depth-sigma-mm); calibrate the depth first, or measure one distance"
         )
     if found.scale > _MISFIT:
         yield (
@@ -142,13 +142,13 @@ def _motion_missing(found: HandEye) -> Iterator[str]:
     if sigma_m > AIM_M:
         yield (
             f"note: the mount's position is known worst along ({_vector(direction, 2)}) of the chaser, sigma "
-            f"{1e3 * sigma_m:.2f} mm: larger turns about axes across it would tell it, or a longer log"
+            f"{1e3 * sigma_m:.2f} mm: larger turns about axes across it would determine it, or a longer log"
         )
     sigma_rad, axis = found.worst(MOUNT_RAD)
     if np.degrees(sigma_rad) > AIM_DEG:
         yield (
             f"note: the mount's attitude is known worst about ({_vector(axis, 2)}) of the chaser, sigma "
-            f"{np.degrees(sigma_rad):.3f} deg: larger turns about axes across it would tell it, or a "
+            f"{np.degrees(sigma_rad):.3f} deg: larger turns about axes across it would determine it, or a "
             "longer log"
         )
     if found.offset_sigma_s > AIM_S:
@@ -156,7 +156,7 @@ def _motion_missing(found: HandEye) -> Iterator[str]:
             f"note: the clock's offset has sigma {1e3 * found.offset_sigma_s:.2f} ms: the target turned at "
             f"{np.degrees(found.rate_rad_s):.2g} deg/s and moved at {1e3 * found.speed_m_s:.3g} mm/s "
             "(RMS). Faster "
-            "turns and changes of direction would tell it"
+            "turns and changes of direction would determine it"
         )
 
 
