@@ -20,6 +20,7 @@ from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance_of
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
+from rpod_sim_sensor.worlds import world_of
 
 MOST_PUBLIC_FIELDS = 82
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
@@ -228,6 +229,7 @@ def test_a_derived_limit_is_the_one_of_the_campaign_that_it_names(model: type[Li
     told = json.loads((LIMITS / f"{sensor.kind}.json").read_text())["totals"]
     fields = limits_in(sensor.tracking)
     assert {each.path for each in fields} == set(told["limits"])
+    assert not [name for name in told["worlds"] if world_of(name).held_out], "no limit may be chosen by these"
     for each in fields:
         assert each.provenance is not None
         if each.provenance.source == "campaign":
