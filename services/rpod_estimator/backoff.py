@@ -54,7 +54,7 @@ class Backoff:
         return now_s < self._next_s
 
     def take(self, frame: SensorFrame, *, began_s: float, now_s: float) -> None:
-        """Note that a frame was searched in vain from ``began_s`` to ``now_s``."""
+        """Note an unsuccessful search in a frame from ``began_s`` to ``now_s``."""
         self._since_s = began_s if self._since_s is None else self._since_s
         self._seen.append(content(frame))
         if now_s - self._since_s >= PATIENCE_S:

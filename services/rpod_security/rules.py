@@ -56,7 +56,7 @@ class RosService:
 
 @dataclass(frozen=True)
 class OtherHost:
-    """The router of another host, joined to this one: it speaks for the members there alone."""
+    """The router of another host, joined to this one: it acts for the members there alone."""
 
     members: frozenset[str]
     """Names of the members that connect to it."""

@@ -44,7 +44,7 @@ FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
 ``FACE_SIGMAS`` down to four standard deviations."""
 HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct. Hand: a larger
-value refines more poses in vain, a smaller one may miss a right one."""
+value refines more wrong poses, a smaller one may miss a right one."""
 GAIN = 5.0
 """Gain of log likelihood after which a pose's near-symmetries are tried again. Hand: a pose 150 times as
 likely counts as another one; a smaller value costs time."""
