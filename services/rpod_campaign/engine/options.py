@@ -4,7 +4,6 @@ An option's type, default, bounds and help sentence are defined in the campaign'
 the docstring under the field, or the ``description`` of a type that several campaigns share.
 """
 
-from collections.abc import Collection
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
@@ -12,7 +11,6 @@ from pydantic import Field
 from rpod_campaign.engine.trial.surroundings import SurroundingsName
 from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.config.emulator import WorldName
-from rpod_schemas.errors import ConfigurationError
 
 Trials = Annotated[int, Field(gt=0, description="Number of trials of each cell.")]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
@@ -73,12 +71,6 @@ class Options(Config):
 def either(chosen: str, two: tuple[str, str]) -> tuple[str, ...]:
     """Return the values that an option selects: itself, or the two values that ``both`` selects."""
     return two if chosen == "both" else (chosen,)
-
-
-def require(option: str, name: str, known: Collection[str]) -> None:
-    """Raise ConfigurationError if the value of an option is none of the known names."""
-    if name not in known:
-        raise ConfigurationError(option, "", f"needs {', '.join(known)}, not {name!r}")
 
 
 def choices(annotation: Any) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """``faults``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.engine.options import require
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.faults import trial
 from rpod_campaign.faults.matrix import BY_FAULT, can_have
 from rpod_campaign.faults.options import Options

@@ -1,7 +1,7 @@
 """``integrity``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
-from rpod_campaign.engine.options import require
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.integrity import trial
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME, FAULT_NAMES

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from typing import Protocol
 
-from rpod_campaign.engine.options import either, require
+from rpod_campaign.engine.options import either
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.engine.trial.sizes import in_metres
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import METHODS, TEMPLATE_MATCHING, lidar_input

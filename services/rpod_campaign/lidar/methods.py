@@ -7,7 +7,7 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_campaign.engine.options import require
+from rpod_campaign.engine.trial.names import require
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of, warm_up
