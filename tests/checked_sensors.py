@@ -1,7 +1,7 @@
 """Sensors for the check, without a bus and without waiting: messages under virtual time.
 
 ``Desk`` stands for the bus: it numbers, delays and loses messages, and hands them to an observer.
-Sensors are emulated here in a few lines of their own, so that the check is not judged on the facility's
+Sensors are emulated here in a few lines of their own, so that the check is not tested on the facility's
 emulator alone.
 """
 
@@ -222,7 +222,7 @@ def odometry_of(stamp_ns: int, pose: RigidTransform) -> Odometry:
 
 
 def hear(observer: Observer, topic: Topic, stamp_ns: int, message: Any) -> None:
-    """Hand a message over at once: it is beside the sensor, not judged."""
+    """Hand a message over at once: it is beside the sensor and is not checked."""
     payload = memoryview(bytes(encode(message)))
     observer.take(Received(topic, "", payload, Attachment(1, 0, bytes(16)), stamp_ns))
 

@@ -383,8 +383,8 @@ class _LogWriter:
         self.writer.add_metadata(COUNTS, {topic: count.model_dump_json() for topic, count in counts.items()})
         if self.run.states_completeness:
             reasons = shortfalls(counts, {topic: count.written for topic, count in counts.items()})
-            statement = Completeness(complete=not reasons, reasons=reasons, continues=self.run.continues)
-            self.writer.add_metadata(COMPLETENESS, statement.record())
+            record = Completeness(complete=not reasons, reasons=reasons, continues=self.run.continues)
+            self.writer.add_metadata(COMPLETENESS, record.record())
 
 
 def _stamp_ns(time_s: float) -> int:

@@ -125,7 +125,7 @@ class Desk:
     def settle(self) -> tuple[str, ...]:
         """Begin a new file, and return what is wrong of those before, in which nobody was killed."""
         self._split()
-        return tuple(self._judge(killed=""))
+        return tuple(self._wrong(killed=""))
 
     def kill(self, name: str, rnd: Random) -> Kill:
         """Kill a service and wait until everything works again."""
@@ -156,7 +156,7 @@ class Desk:
         self._node.stop.wait(_SETTLE_S)
         self._split()
         lost_s = self._lost_s() if name == "logger" else 0.0
-        wrong = tuple(self._judge(killed=name))
+        wrong = tuple(self._wrong(killed=name))
         return Kill(name, tracked_s - killed_s, ready_s - killed_s, echo_s, spent_s, lost_s, wrong)
 
     def _kill_echo(self) -> float:
@@ -187,12 +187,12 @@ class Desk:
             max(after, default=last) - last - len([each for each in set(after) if each > last])
         ) / _TRUTH_HZ
 
-    def _judge(self, *, killed: str) -> Iterator[str]:
+    def _wrong(self, *, killed: str) -> Iterator[str]:
         """Yield the closed files' records of completeness that do not agree with what happened."""
         for path in self._files()[:-1]:
             if path not in self._checked:
                 self._checked.add(path)
-                yield from judge(path, killed=killed)
+                yield from false_claims(path, killed=killed)
                 path.unlink() if killed != "logger" else None
 
 
@@ -235,7 +235,7 @@ def truth_numbers(path: Path) -> Sequence[int]:
     return numbers
 
 
-def judge(path: Path, *, killed: str) -> Iterator[str]:
+def false_claims(path: Path, *, killed: str) -> Iterator[str]:
     """Yield what a file says wrongly of itself.
 
     Args:

@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from endurance.echo import Echo
 from endurance.facility import SERVICES, KeptFacility
-from endurance.kills import judge
+from endurance.kills import false_claims
 from rpod import __version__
 from rpod_runtime import Node, Received
 from rpod_schemas.arrays import FloatArray
@@ -99,7 +99,7 @@ def watch(facility: KeptFacility, *, seconds: float, rate_hz: float) -> Soak:
             for name, process in processes.items():
                 samples[name].append((time_s, *_sample(process)))
             round_trips += [(sent_s - begin_s, came_s - sent_s) for sent_s, came_s in echo.take()]
-            wrong += _judge_closed(facility.logs, checked)
+            wrong += _wrong_in_closed(facility.logs, checked)
             node.stop.wait(_SAMPLE_S)
         statuses = node.ask_all("status", StatusReply, timeout_s=10.0)
     found = {status.name: status.counters for status in statuses}
@@ -122,12 +122,12 @@ def _sample(process: psutil.Process) -> tuple[float, ...]:
         return memory, process.num_threads(), process.num_fds(), times.user + times.system
 
 
-def _judge_closed(logs: Path, checked: set[Path]) -> Iterator[str]:
-    """Judge the files that the logger has closed, and remove them: hours of images fill a disk."""
+def _wrong_in_closed(logs: Path, checked: set[Path]) -> Iterator[str]:
+    """Check the files that the logger has closed, and remove them: hours of images fill a disk."""
     for path in sorted(logs.glob("*.mcap"), key=lambda path: (len(path.name), path.name))[:-1]:
         if path not in checked:
             checked.add(path)
-            yield from judge(path, killed="")
+            yield from false_claims(path, killed="")
             path.unlink()
 
 

@@ -83,8 +83,8 @@ class Shelf:
         self.size_bytes = 0
         self._directory, self._keep = directory, keep
 
-    def judge(self, *, last_too: bool = False) -> None:
-        """Judge what is new, and remove what need not stay; the last file is still written."""
+    def check(self, *, last_too: bool = False) -> None:
+        """Check what is new, and remove what need not stay; the last file is still written."""
         paths = sorted(self._directory.glob("*.mcap"))
         for path in paths if last_too else paths[:-1]:
             if path.name not in self.said:
@@ -120,7 +120,7 @@ def measure(load: Load, *, out: Path | None, settings: Sequence[str], tell: Tell
         def each_second(time_s: float) -> None:
             nonlocal told
             samples.append(_sample(process, time_s))
-            shelf.judge()
+            shelf.check()
             if time_s >= told * _TELL_S:
                 told += 1
                 tell(samples[-1], _counters(node))
@@ -131,7 +131,7 @@ def measure(load: Load, *, out: Path | None, settings: Sequence[str], tell: Tell
         tell(samples[-1], counters)
         logger.terminate()
         logger.wait()
-        shelf.judge(last_too=True)
+        shelf.check(last_too=True)
     return Result(samples, late, sent, tuple(shelf.said.values()), shelf.size_bytes, counters)
 
 

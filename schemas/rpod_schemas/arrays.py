@@ -9,6 +9,8 @@ from pydantic import PlainSerializer, PlainValidator
 
 Array = NDArray[Any]
 FloatArray = NDArray[np.float64]
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation over the median of absolute deviations, of normal errors."""
 
 
 def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], FloatArray]:

@@ -62,7 +62,7 @@ class BodyAccount(Config):
     unseen: Count = 0
     """Number of frames in which it gives no ranges, so that it is not checked."""
     hidden: Count = 0
-    """Number of frames in which too little of it is visible to judge."""
+    """Number of frames in which too little of it is visible to decide."""
     last: str = ""
     """The last sentence that told the operator of it, with figures and remedy."""
 

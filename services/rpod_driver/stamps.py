@@ -83,7 +83,7 @@ class StampMapper:
 
     def _mapped_ns(self, device_ns: int, now_ns: int) -> int:
         if device_ns < self._last_device_ns:
-            log.warning("%s: its stamps went back: its clock has begun anew", self._sensor)
+            log.warning("%s: its stamps went back: its clock has started again", self._sensor)
             self._offsets.clear()
         self._last_device_ns = device_ns
         offset_ns = now_ns - device_ns

@@ -1,7 +1,7 @@
-"""Lets hopeless searches rest: a scene without the target is not searched at every frame for ever.
+"""Limits unsuccessful searches: a scene without the target is not searched at every frame for ever.
 
-After ``PATIENCE_S`` of searches in vain, the searches take at most a tenth of the time. This ends with the
-first frame that shows something else than those frames did. The module knows no bus and no clock; times are
+After ``PATIENCE_S`` of unsuccessful searches, searches take at most a tenth of the time. This ends with the
+first frame whose content differs from that of those frames. The module knows no bus and no clock; times are
 seconds of one monotonic clock.
 """
 
@@ -15,22 +15,23 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import SensorFrame
 
 PATIENCE_S = 10.0
-"""Time of searches in vain before they rest."""
+"""Time of unsuccessful searches after which they are limited."""
 SHARE = 0.1
-"""Largest share of the time that searches take then."""
+"""Largest share of the time that limited searches take."""
 _BLOCKS = 12
 """Number of blocks along each side of an image whose content is compared."""
 _TELLING = 0.3
-"""Share of measured pixels from which their mean range counts; that of a few stray ones is noise."""
+"""Least share of measured pixels in a block for its mean range to count; the mean of a few stray pixels is
+noise."""
 _DIRECTIONS = 48
 """Number of directions along each side of the image of a scan without rows and columns, over a half turn."""
 _REMEMBERED = 32
-"""Number of frames whose contents tell what the scene looks like without the target."""
+"""Number of recent frames that define what the scene looks like without the target."""
 _DIFFERENT_BLOCKS = 3
-"""Number of blocks whose content must be another one, so that a frame differs."""
+"""Number of blocks that must have changed for a frame to count as different."""
 _MARGIN, _MARGIN_RANGES = 0.1, 0.5
-"""Least change of a block beyond the range of the frames before that counts, and that over this range: for
-normal noise and 32 frames four sigma."""
+"""Least change of a block that counts: beyond the range of its values in the frames before, and over the
+width of this range. For normal noise and 32 frames the latter is four sigma."""
 
 
 class Backoff:
@@ -53,7 +54,7 @@ class Backoff:
         return now_s < self._next_s
 
     def take(self, frame: SensorFrame, *, began_s: float, now_s: float) -> None:
-        """Note that a frame was searched in vain from ``began_s`` to ``now_s``."""
+        """Note an unsuccessful search in a frame from ``began_s`` to ``now_s``."""
         self._since_s = began_s if self._since_s is None else self._since_s
         self._seen.append(content(frame))
         if now_s - self._since_s >= PATIENCE_S:

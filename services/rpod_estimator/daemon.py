@@ -81,7 +81,7 @@ def _serve(
 
 
 class _Service:
-    """The estimator with all that is told of its results."""
+    """The estimator with the publishers of its results."""
 
     def __init__(
         self,

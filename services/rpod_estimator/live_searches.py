@@ -1,7 +1,8 @@
 """Searches of a live estimator: in workers beside it, one for each sensor.
 
 A search begins when the navigator asks for it, and its result is handed out at the first frame of the sensor
-after its end. Searches in vain rest (``backoff.py``): this module measures how long each one takes.
+after its end. Unsuccessful searches are limited (``backoff.py``): this module measures how long each one
+takes.
 """
 
 import time
@@ -28,7 +29,7 @@ class Worker(Protocol):
         ...
 
     def begin(self, search: Search, setup: Any) -> None:
-        """Search a frame of a sensor that is set up so."""
+        """Search a frame of a sensor with this setup."""
         ...
 
     def result(self) -> Found | None:
@@ -51,7 +52,7 @@ class _Running:
 
 
 class LiveSearches:
-    """Searches in workers, and lets searches in vain rest.
+    """Searches in workers, and limits unsuccessful searches.
 
     Args:
         workers: worker of each sensor, by its name.
@@ -108,7 +109,7 @@ class LiveSearches:
 
     @property
     def pause_s(self) -> float:
-        """Longest time between two searches; 0 as long as none rests."""
+        """Longest time between two searches; 0 as long as none is limited."""
         return max((backoff.pause_s for backoff in self._backoffs.values()), default=0.0)
 
     def end_rests(self) -> None:

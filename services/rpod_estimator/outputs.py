@@ -93,7 +93,7 @@ class Outputs:
         self._publish_status(status)
 
     def _publish_status(self, status: EstimatorStatus) -> None:
-        """Publish a status; one beyond the bounds is told as such, because each frame gets one."""
+        """Publish a status, or a short one that says so if it exceeds the bounds of its message."""
         try:
             message = write_status(status)
         except MessageRejectedError as error:

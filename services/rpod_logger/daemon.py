@@ -57,7 +57,7 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
             manager.alive()
             recorder.log_losses()
             services.ask_new()
-            ends.judge(time.monotonic())
+            ends.decide(time.monotonic())
         services.conclude()
         if isinstance(stop, Stop) and stop.orphaned:
             ends.add_reason("the run was ended by a kill: its supervisor ended without stopping the logger")
@@ -121,11 +121,11 @@ class Services:
         """Ask all services before a file is closed, and wait until what they published has arrived."""
         begin_s = time.monotonic()
         self.ask(_CLOSE_S)
-        self._ends.judge(time.monotonic())
+        self._ends.decide(time.monotonic())
         clock = AwakeClock(2.0 * _POLL_S)
         while self._ends.is_open(begin_s) and clock.now_s() < _CLOSE_S:
             time.sleep(_POLL_S)
-            self._ends.judge(time.monotonic())
+            self._ends.decide(time.monotonic())
         self._ends.conclude(begin_s)
 
 

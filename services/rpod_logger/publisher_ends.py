@@ -31,7 +31,7 @@ RETURN_S = 10.0
 """Time after an outage in which publishers come back, s, counted as the grace is: Zenoh tries at least each
 4 s."""
 _JUDGEMENT_S = 0.5
-"""Longest time between two judgements, of which there are four a second, unless this process stands still, s.
+"""Longest time between two decisions, of which there are four a second, unless this process stands still, s.
 Messages that came while it did are not handled yet, so that they have at least half the grace left."""
 _OUTAGE_S = 1.0
 """Largest time between the end of a token and that of the link by which both ended."""
@@ -41,7 +41,7 @@ _NS = 1e-9
 
 @dataclass(frozen=True)
 class Endings:
-    """Statements of a file about publishers and the link, beside its counts."""
+    """Records of a file about publishers and the link, beside its counts."""
 
     reasons: tuple[str, ...] = ()
     """Reasons why the file is not complete, a sentence each."""
@@ -193,18 +193,18 @@ class PublisherEnds:
 
     # --- what follows from it ---
 
-    def judge(self, now_s: float) -> None:
+    def decide(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
         with self._lock:
             self._note_link(self._awake.at(now_s))  # in each turn: a pause of this process is a short time
             for name, session in list(self._sessions.items()):
                 if session.instance:
-                    self._judge_service(name, session, now_s)
+                    self._decide_service(name, session, now_s)
                 else:
-                    self._judge_others(name, session, now_s)
+                    self._decide_others(name, session, now_s)
             del self._reasons[_MOST_NOTES:], self._unconfirmed[_MOST_NOTES:]
 
-    def _judge_service(self, name: str, session: _Session, now_s: float) -> None:
+    def _decide_service(self, name: str, session: _Session, now_s: float) -> None:
         if session.gone is None:
             return
         if session.closing and not session.shortfalls():
@@ -213,7 +213,7 @@ class PublisherEnds:
             self._reasons.append(_incomplete_at_end(name, session, session.gone.stamp_ns))
             del self._sessions[name]
 
-    def _judge_others(self, name: str, session: _Session, now_s: float) -> None:
+    def _decide_others(self, name: str, session: _Session, now_s: float) -> None:
         for topic, gone in list(session.left.items()):
             if self._is_final(gone, now_s):
                 last = max(session.arrived.get(topic, {}).values(), default=0)
@@ -254,9 +254,8 @@ class PublisherEnds:
 
     def _waits_for(self, session: _Session, since_s: float) -> bool:
         if session.gone is not None:
-            return not self._left_with_link(
-                session.gone.stamp_ns
-            )  # who was lost with the link may be away for long
+            # a service that was lost with the link may be away for long
+            return not self._left_with_link(session.gone.stamp_ns)
         silent = session.reported_s < since_s and not session.closing
         return session.is_there and (silent or bool(session.shortfalls()))
 

@@ -19,7 +19,8 @@ from rpod_schemas.types import Float32Array
 from rpod_target import DistanceField, Target
 
 _REACH = 0.25
-"""Distance from such a part, over its longest side, up to which a point may be of it: turned by 15 deg."""
+"""Distance from such a part, over its longest side, up to which a point may be of it. Hand: turned by 15
+deg."""
 
 Masked = Callable[[Any, Callable[[Float32Array], NDArray[np.bool_]]], Any]
 """Function that returns a frame without its points, sensor axes, shape (..., 3), for which a function of them

@@ -21,9 +21,10 @@ _REMEMBERED = 64
 _HELD = 16
 """Number of messages of a lasting part that are kept, for frames that are older than the newest of them."""
 _USUAL = 3
-"""Number of last frames with a lasting part of their own after which the next one waits for its own."""
+"""Number of consecutive frames with a lasting part of their own after which the next frame waits for its own,
+too."""
 _INTERVALS = 8
-"""Number of intervals between frames whose least counts as the time from one frame to the next."""
+"""Number of recent intervals between frames; the shortest one counts as the time between two frames."""
 _EXPLAINED = 64
 """Largest number of frames given up whose missing parts wait to be asked for."""
 

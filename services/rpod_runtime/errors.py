@@ -65,7 +65,7 @@ class LockstepError(BusError):
         self.service = service
         super().__init__(
             f"{service} did not deliver {waited_for} within {waited_s:.0f} s, so that lockstep cannot go on; "
-            f"look at the log lines of {service}"
+            f"check the log lines of {service}"
         )
 
 

@@ -199,7 +199,7 @@ class Authority:
         if entry.revoked:
             raise AuthorityError(
                 f"name {name!r} was revoked on {entry.revoked:%Y-%m-%d}; "
-                f"'rpod pki issue {entry.role} {name}' issues it anew"
+                f"'rpod pki issue {entry.role} {name}' issues it again"
             )
         return entry
 

@@ -34,6 +34,8 @@ from rpod_security.errors import RulesError
 from rpod_security.roles import ANY, LINK, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
+Grant = tuple[Flow, tuple[str, ...], list[str]]
+"""What a member may do: direction, kinds of messages, and key expressions."""
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
 _SHARED = frozenset(
     {TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK, BODY.at("*")}
@@ -54,7 +56,7 @@ class RosService:
 
 @dataclass(frozen=True)
 class OtherHost:
-    """The router of another host, joined to this one: it speaks for the members there alone."""
+    """The router of another host, joined to this one: it acts for the members there alone."""
 
     members: frozenset[str]
     """Names of the members that connect to it."""
@@ -117,10 +119,10 @@ class Rules:
             "policies": policies,
         }
 
-    def _of(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+    def _of(self, member: Member) -> list[Grant]:
         return [*self._publishing(member), *self._reading(member), *self._control(member)]
 
-    def _found_by(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+    def _found_by(self, member: Member) -> list[Grant]:
         """Return what a router tells the router of a member: where the member's questions are answered."""
         served = [
             self._keys.control(other.name, verb, ANY)
@@ -131,7 +133,7 @@ class Rules:
         caches = _under(self._read[member.name], _PUBLISHERS)
         return [("egress", ("declare_queryable",), [*caches, *served, *services])]
 
-    def _publishing(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+    def _publishing(self, member: Member) -> list[Grant]:
         """Return the rules for what it publishes: topics, caches for missed messages, and tokens."""
         own = [self._keys.selector(topic) for topic in member.publishes]
         caches = _under(own, _PUBLISHERS)
@@ -144,7 +146,7 @@ class Rules:
             ("egress", ("query",), _under(asked, _CACHES)),
         ]
 
-    def _reading(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+    def _reading(self, member: Member) -> list[Grant]:
         read = self._read[member.name]
         caches = _under(read, _PUBLISHERS)
         tokens = [publisher_tokens(self._keys)] if member.watches else []
@@ -156,7 +158,7 @@ class Rules:
             ("egress", ("liveliness_token",), caches + tokens),
         ]
 
-    def _control(self, member: Member) -> list[tuple[Flow, tuple[str, ...], list[str]]]:
+    def _control(self, member: Member) -> list[Grant]:
         """Return the rules of control plane and ROS services; keys end with the name of who asks."""
         served = [self._keys.control(member.name, verb, ANY) for verb in member.serves]
         asked = [
@@ -201,7 +203,7 @@ class Rules:
         return [key for key in read if any(zenoh.KeyExpr(key).intersects(each) for each in keys)]
 
 
-def _allowed(name: str, granted: Iterable[tuple[Flow, tuple[str, ...], list[str]]]) -> list[dict[str, Any]]:
+def _allowed(name: str, granted: Iterable[Grant]) -> list[dict[str, Any]]:
     return [
         {
             "id": f"{name} {flow} {messages[0]} {number}",

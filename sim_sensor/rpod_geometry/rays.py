@@ -1,11 +1,11 @@
 """Casts a sensor's rays: one caster for the camera and for the LIDAR.
 
 All rays start in the sensor's origin, so a triangle needs only four numbers per ray. Its corners v0, v1, v2
-and the ray d give ``s_i = d . (v_i x v_j)``, which tells on which side of the plane through the origin and an
-edge the ray is. The ray passes through the triangle if all three have the sign of ``v0 . (v1 x v2)``. It
-meets the plane at ``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, because the three cross products add up to the
-face's normal. Two triangles that share an edge compute the same product with opposite signs, so no ray passes
-between them.
+and the ray d give ``s_i = d . (v_i x v_j)``, whose sign gives the side of the plane through the origin and an
+edge on which the ray lies. The ray passes through the triangle if all three have the sign of ``v0 . (v1 x
+v2)``. It meets the plane at ``v0 . (v1 x v2) / (s_0 + s_1 + s_2)``, because the three cross products add up
+to the face's normal. Two triangles that share an edge compute the same product with opposite signs, so no ray
+passes between them.
 """
 
 from dataclasses import dataclass, field
@@ -281,7 +281,7 @@ def slopes_ahead(a: float, a_z: float, b: float, b_z: float) -> tuple[float, flo
 
     A line that passes the plane z = 0 at x > 0 has slopes up to infinity ahead of it, and at x < 0 down to
     minus infinity. Those of a triangle are between those of its sides. The result is inf, -inf for a line
-    that is behind the sensor: then no ray meets it but those of lines that look backwards, whose slopes are
+    that is behind the sensor: then only rays of lines that look backwards meet it, whose slopes are
     unbounded.
 
     Args:

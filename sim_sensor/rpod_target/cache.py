@@ -1,7 +1,7 @@
 """Cache of built targets: one file per digest, written atomically, so that several daemons may build.
 
-A file also holds the digest of its arrays. One whose arrays are others, because it was changed after it was
-built, is not used.
+A file also holds the digest of its arrays. A file whose arrays differ from it was changed after it was built,
+and is not used.
 """
 
 import hashlib
@@ -48,7 +48,7 @@ def read(file: Path) -> dict[str, Array] | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     if str(built) != _digest(arrays):
-        text = f"{file} was changed after it was built; the target is built anew"
+        text = f"{file} was changed after it was built; the target is built again"
         warnings.warn(text, stacklevel=2)  # a package without a log
         return None
     return {**arrays, DIGEST: built}

@@ -1,4 +1,4 @@
-"""Attitudes of a target that no measurement tells apart, and errors modulo these.
+"""Attitudes of a target that no measurement distinguishes, and errors modulo these.
 
 An exact symmetry makes turned attitudes equivalent. Where every turn about an axis is a symmetry, the angle
 about this axis is free: it is a convention, nothing is known of it, and no angle about it is an error. Two
@@ -75,7 +75,7 @@ class Equivalence:
 
     @property
     def dof(self) -> int:
-        """Number of a pose's degrees of freedom that measurements can tell."""
+        """Number of a pose's degrees of freedom that measurements can determine."""
         return 6 - len(self.free_axes)
 
     @property
@@ -102,7 +102,7 @@ class Equivalence:
         return most
 
     def nearest(self, attitudes: Rotation, found: Rotation) -> Rotation:
-        """Return, of the attitudes equivalent to given ones, those nearest to found ones; one or N each."""
+        """Return the attitudes nearest to found ones, among those equivalent to given ones; one or N each."""
         if len(self.free_axes) == 3:
             return found
         if len(self.turns) > 1:
@@ -116,7 +116,7 @@ class Equivalence:
         return self._turned_onto(attitudes, found)
 
     def nearest_pose(self, pose: RigidTransform, found: RigidTransform) -> RigidTransform:
-        """Return, of the poses equivalent to a given one, that nearest to a found one."""
+        """Return the pose nearest to a found one, among those equivalent to a given one."""
         rotation = self.nearest(pose.rotation, found.rotation)
         return RigidTransform.from_components(pose.translation, rotation)
 

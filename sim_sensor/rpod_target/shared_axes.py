@@ -14,7 +14,7 @@ _FAR, _BETTER = 0.01, 0.5
 """Distance of a model's surface from the target's, over the longest side, from which axes may differ; and
 the share of it that other axes must leave to be the right ones."""
 _ALIKE = 1e-3
-"""Difference of two such distances, over the longest side, below which the smaller turn is told."""
+"""Difference of two such distances, over the longest side, below which the smaller turn is reported."""
 _STEPS = 20
 """Steps of the search for the shift."""
 
@@ -23,10 +23,11 @@ def check_model(truth: Target, model: Target) -> None:
     """Check that a model of a target has the target's axes.
 
     The model's points are held against the target's distance field, in the axes given and in those that
-    quarter turns and a shift make of them. Another shape is no error: then no other axes are much better.
+    quarter turns and a shift make of them. A model of another shape is no error, since no other axes are much
+    better then.
 
     Raises:
-        TargetError: other axes fit the model to the target much better; the text tells them.
+        TargetError: other axes fit the model to the target much better; the text names them.
     """
     if model.digest == truth.digest:
         return

@@ -88,7 +88,7 @@ class FoundSymmetry:
     likeness: tuple[Likeness, ...] = ()
     """Results of sensors for the two poses; empty where none was asked."""
     mistaken: bool = False
-    """Whether some sensor, at some range, cannot tell the two poses apart in half of the views."""
+    """Whether some sensor, at some range, cannot distinguish the two poses in half of the views."""
 
 
 def find_symmetries(target: Target) -> list[FoundSymmetry]:

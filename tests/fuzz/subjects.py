@@ -212,7 +212,7 @@ def _read_heartbeat(data: bytes) -> bool:
     )
     ends.gone("s", DIAGNOSTICS, now_s=1.0, now_ns=10**9)
     for now_s in (8.0, 8.9, 9.8):  # within less than a second of each other: the process did not stand still
-        ends.judge(now_s)
+        ends.decide(now_s)
     return bool(ends.take(0).reasons)
 
 

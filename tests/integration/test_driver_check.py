@@ -2,13 +2,15 @@
 
 import json
 import time
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from io import StringIO
 from threading import Event, Thread
 
 import numpy as np
 import pytest
 from checked_sensors import INFO, wall_frames
-from live_bus import TIMEOUT_S, daemon
+from live_bus import TIMEOUT_S, Bus, daemon
 
 from rpod.driver.check import CheckOptions, check_command
 from rpod_driver import run as run_driver
@@ -43,11 +45,15 @@ class Walls:
         pass
 
 
+def options_of(name, endpoint, *, rate_hz=10.0, target=None) -> CheckOptions:
+    return CheckOptions(
+        name, "pmd", config=None, source=None, connect=endpoint, rate_hz=rate_hz, target=target
+    )
+
+
 def checked(bus, capsys, name="pmd", *, rate_hz=10.0, duration_s=3.0, target=None) -> tuple[int, dict]:
     """Run the verb; return its exit code and its JSON."""
-    options = CheckOptions(
-        name, "pmd", config=None, source=None, connect=bus.endpoint, rate_hz=rate_hz, target=target
-    )
+    options = options_of(name, bus.endpoint, rate_hz=rate_hz, target=target)
     capsys.readouterr()
     code = check_command(options, duration_s=duration_s, as_json=True)
     return code, json.loads(capsys.readouterr().out)
@@ -55,12 +61,13 @@ def checked(bus, capsys, name="pmd", *, rate_hz=10.0, duration_s=3.0, target=Non
 
 @contextmanager
 def emulated(bus, *faults: str):
-    """Run motion and emulator with a camera; it is at work when the context begins."""
+    """Run motion and emulator with a camera for each fault, of its name, or one without; all are at work."""
+    names = faults or ("pmd",)
     emulator = EmulatorConfig(
         bus=bus.config,
         target="mockup",
-        sensors=(PmdConfig(rate_hz=10.0, camera=CAMERA),),
-        faults=tuple(PlannedFault(fault=fault) for fault in faults),
+        sensors=tuple(PmdConfig(name=name, rate_hz=10.0, camera=CAMERA) for name in names),
+        faults=tuple(PlannedFault(fault=fault, sensor=fault) for fault in faults),
     )
     motion = MotionServiceConfig(
         bus=bus.config,
@@ -74,18 +81,18 @@ def emulated(bus, *faults: str):
     node = bus.node("observer")
     with daemon(run, emulator), daemon(run_motion, motion):
         deadline_s = time.monotonic() + TIMEOUT_S
-        while not is_at_work(node) and time.monotonic() < deadline_s:
+        while not is_at_work(node, names) and time.monotonic() < deadline_s:
             Event().wait(0.1)
         yield
 
 
-def is_at_work(node: Node) -> bool:
-    """Return whether the emulator answers and has published some frames."""
+def is_at_work(node: Node, names: tuple[str, ...]) -> bool:
+    """Return whether the emulator answers and has published some frames of each camera."""
     try:
         status = node.ask("emulator", "status", StatusReply, timeout_s=TIMEOUT_S)
     except QueryFailedError:  # its code is still being compiled
         return False
-    return status.counters.get("frames/pmd", 0) >= 3
+    return all(status.counters.get(f"frames/{name}", 0) >= 3 for name in names)
 
 
 TRIES = 3
@@ -110,22 +117,36 @@ def test_the_emulator_is_in_order_and_beside_truth_too(bus, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        "tai_clock",
-        "second_publisher",
-        "lost_messages",
-        "frozen",
-        "no_mount",
-        "missing_part",
-        "not_latched",
-        "slow_link",
-    ],
+FAULTS = (
+    "tai_clock",
+    "second_publisher",
+    "lost_messages",
+    "frozen",
+    "no_mount",
+    "missing_part",
+    "not_latched",
+    "slow_link",
 )
-def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(bus, capsys, fault):
-    with emulated(bus, fault):
-        code, told = checked(bus, capsys, duration_s=6.0 if fault == "slow_link" else 3.0)
+
+
+@pytest.fixture(scope="module")
+def answers(endpoint) -> dict[str, tuple[int, dict]]:
+    """Exit code and JSON of the verb for each fault: cameras with a fault each, checked at once."""
+    with ExitStack() as stack, redirect_stdout(StringIO()) as printed:
+        stack.enter_context(emulated(Bus(endpoint, stack), *FAULTS))
+        with ThreadPoolExecutor(len(FAULTS)) as pool:
+            options = [options_of(name, endpoint) for name in FAULTS]
+            codes = list(pool.map(lambda each: check_command(each, duration_s=6.0, as_json=True), options))
+    text, told = printed.getvalue().lstrip(), {}
+    while text:
+        one, end = json.JSONDecoder().raw_decode(text)
+        told[one["sensor"]], text = one, text[end:].lstrip()
+    return {name: (code, told[name]) for name, code in zip(FAULTS, codes, strict=True)}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_the_emulator_is_named_and_the_exit_code_is_1(answers, fault):
+    code, told = answers[fault]
     assert code == 1, json.dumps(told, indent=1)
     assert fault in told["faults"]
     (named,) = (each for each in told["verdicts"] if fault in each["faults"])

@@ -277,7 +277,7 @@ def test_a_services_data_come_through_with_history(bus: SecureBus):
 @pytest.mark.parametrize(
     ("line", "meaning"),
     [
-        ("received corrupt message of type InvalidContentType. Hint: increase the", "speaks no TLS"),
+        ("received corrupt message of type InvalidContentType. Hint: increase the", "uses no TLS"),
         ("invalid peer certificate: certificate expired: verification time 1", "has expired"),
         ("invalid peer certificate: BadSignature.", "another authority"),
         ("peer sent no certificates.", "shows no certificate"),

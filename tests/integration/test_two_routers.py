@@ -1,4 +1,4 @@
-"""A router each on two hosts: one link, each judges its own clients, and what the doctor says of them."""
+"""A router each on two hosts: one link, each checks its own clients, and what the doctor says of them."""
 
 from contextlib import ExitStack
 

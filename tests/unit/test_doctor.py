@@ -5,18 +5,18 @@ import socket
 
 import pytest
 
-from rpod.doctor.bus import judge_link
+from rpod.doctor.bus import check_link
 from rpod.doctor.command import doctor_command
 from rpod.doctor.finding import Level
-from rpod.doctor.host import clock, disk, judge_clock, judge_disk, port, room, versions
+from rpod.doctor.host import check_clock, check_disk, clock, disk, port, room, versions
 
 
 @pytest.mark.parametrize(
     ("told", "level"),
     [((True, 0.0, 0.1), Level.FAIL), ((False, 0.01, 0.1), Level.NOTE), ((False, 0.0005, 0.01), Level.OK)],
 )
-def test_a_clock_is_judged_by_what_the_kernel_says(told, level):
-    found = judge_clock(*told)
+def test_a_clock_is_checked_by_what_the_kernel_says(told, level):
+    found = check_clock(*told)
     assert found.level is level
     assert bool(found.remedy) == (level is not Level.OK)
 
@@ -27,7 +27,7 @@ def test_the_kernel_of_this_machine_has_an_answer():
 
 @pytest.mark.parametrize(("rate_mb_s", "level"), [(20, Level.FAIL), (60, Level.NOTE), (300, Level.OK)])
 def test_a_disk_is_compared_with_a_camera(rate_mb_s, level):
-    assert judge_disk("disk", rate_mb_s).level is level
+    assert check_disk("disk", rate_mb_s).level is level
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_a_disk_is_compared_with_a_camera(rate_mb_s, level):
     [(5e5, Level.FAIL, "0.6"), (1.25e6, Level.NOTE, "1.5"), (5e7, Level.OK, "61.9")],
 )
 def test_a_link_is_told_in_frames_of_a_camera(bytes_s, level, frames):
-    found = judge_link("link", 0.001, bytes_s)
+    found = check_link("link", 0.001, bytes_s)
     assert found.level is level
     assert f"{frames} frames/s" in found.text
 

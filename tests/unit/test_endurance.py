@@ -1,4 +1,4 @@
-"""How ``make soak`` and ``make kills`` judge what they measured."""
+"""How ``make soak`` and ``make kills`` assess what they measured."""
 
 import numpy as np
 import pytest

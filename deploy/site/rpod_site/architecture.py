@@ -1,4 +1,4 @@
-"""The picture of the architecture, drawn from the imports: packages in layers, rooms of ``rpod_pose``.
+"""The picture of the architecture, drawn from the imports: packages in layers, and those of ``rpod_pose``.
 
 ``python -m rpod_site.architecture`` writes ``docs/images/architecture.svg`` anew. An arrow runs from a
 package to one that it imports; an import that follows from others is left out.
@@ -86,8 +86,8 @@ def edges_of_packages(graph: grimp.ImportGraph) -> Edges:
     return imports(graph, [name for layer in package_layers() for name in layer])
 
 
-def rooms(graph: grimp.ImportGraph) -> Edges:
-    """Return the rooms of ``rpod_pose``, its folders, and their imports."""
+def packages_of_pose(graph: grimp.ImportGraph) -> Edges:
+    """Return the packages within ``rpod_pose``, its folders, and their imports."""
     folders = sorted(child for child in graph.find_children(_POSE) if graph.find_children(child))
     return imports(graph, folders, depth=2)
 
@@ -100,10 +100,10 @@ def import_graph() -> grimp.ImportGraph:
 def drawn() -> str:
     """Return the picture as SVG."""
     graph = import_graph()
-    whole, inside = edges_of_packages(graph), rooms(graph)
+    whole, inside = edges_of_packages(graph), packages_of_pose(graph)
     top, whole_end = _figure(whole, package_layers(), top=40)
     below, end = _figure(inside, layers(inside), top=whole_end + 50)
-    title = f'<text x="10" y="{whole_end + 36}" class="title">rooms of rpod_pose</text>'
+    title = f'<text x="10" y="{whole_end + 36}" class="title">packages of rpod_pose</text>'
     return "\n".join(
         (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {end}" role="img">',

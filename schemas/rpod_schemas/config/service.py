@@ -88,7 +88,7 @@ class RouterConfig(Config):
     """Zenoh endpoint to listen on."""
     connect: tuple[Annotated[str, Field(pattern=ENDPOINT)], ...] = ()
     """Zenoh endpoints of the routers of other hosts, to which this one connects and connects again. Each
-    router judges its own clients; one of the two names the other."""
+    router checks its own clients; one of the two names the other."""
     estimators: tuple[str, ...] = (ESTIMATOR_ID,)
     """Zenoh identities that may not read the truth, in any domain and namespace."""
     credentials: Path | None = None

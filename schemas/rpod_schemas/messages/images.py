@@ -13,7 +13,7 @@ from rpod_schemas.rmw.cdr import message_class
 from rpod_schemas.types import Camera
 
 _NO_PIXEL = (
-    "no finite pixel in the depth image; look at the sensor's cover, lamp, exposure and range, if the target "
+    "no finite pixel in the depth image; check the sensor's cover, lamp, exposure and range, if the target "
     "is in view"
 )
 _AMPLITUDES = "mono16, mono8 or 32FC1; a colour image is none: leave it out of source.topics"

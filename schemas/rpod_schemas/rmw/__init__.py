@@ -1,1 +1,1 @@
-"""The form in which ROS 2's rmw_zenoh speaks: CDR, quality of service, types of services, attachments."""
+"""The format of ROS 2's rmw_zenoh: CDR, quality of service, types of services, attachments."""

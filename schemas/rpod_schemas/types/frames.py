@@ -105,3 +105,8 @@ class SensorInfo(Model):
     def duration_s(self) -> float:
         """Duration of an exposure or a scan, s; 0 if the sensor does not state it."""
         return 0.0
+
+    @property
+    def farthest_m(self) -> float:
+        """Greatest distance that the sensor can measure by its settings, m; inf if they limit none."""
+        return float("inf")

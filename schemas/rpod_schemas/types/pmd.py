@@ -5,6 +5,7 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator, model_validator
+from scipy.constants import speed_of_light
 
 from rpod_schemas.arrays import VectorN
 from rpod_schemas.bounds import (
@@ -17,6 +18,9 @@ from rpod_schemas.bounds import (
 )
 from rpod_schemas.types.base import Float32Array, Floats, Image
 from rpod_schemas.types.frames import Camera, FrameImage, SensorFrame, SensorInfo
+
+_WRAPS = 10.0
+"""Number of unambiguous ranges that several modulation frequencies may extend."""
 
 
 class PmdInfo(SensorInfo):
@@ -33,6 +37,14 @@ class PmdInfo(SensorInfo):
     def duration_s(self) -> float:
         """Duration of an exposure."""
         return self.integration_time_s
+
+    @property
+    def farthest_m(self) -> float:
+        """Unambiguous range of the lowest frequency, and several of them with more frequencies, m."""
+        if not self.modulation_frequency_hz.size:
+            return super().farthest_m
+        unambiguous_m = speed_of_light / (2.0 * float(self.modulation_frequency_hz.min()))
+        return unambiguous_m * (_WRAPS if self.modulation_frequency_hz.size > 1 else 1.0)
 
     @field_validator("modulation_frequency_hz")
     @classmethod

@@ -113,15 +113,15 @@ def _measure(session: zenoh.Session, key: str, endpoint: str) -> Finding:
     if not pings or None in times_s:
         return Finding(
             check, Level.FAIL, f"{_BLOCK_BYTES >> 20} MiB are not echoed within {_TIMEOUT_S:g} s",
-            "look at the network: ethtool, and ping with large packets",
+            "check the network: ethtool, and ping with large packets",
         )  # fmt: skip
     # each echo crosses the link twice in each direction, as query and as answer
     rate = 2.0 * _BLOCK_BYTES * _BLOCKS / sum(filter(None, times_s))
-    return judge_link(check, pings[len(pings) // 2], rate)
+    return check_link(check, pings[len(pings) // 2], rate)
 
 
-def judge_link(check: str, delay_s: float, bytes_s: float) -> Finding:
-    """Judge a link by the frames of a camera that it carries."""
+def check_link(check: str, delay_s: float, bytes_s: float) -> Finding:
+    """Check a link by the frames of a camera that it carries."""
     frames_hz = bytes_s / CAMERA_FRAME_BYTES
     text = (
         f"answers after {1e3 * delay_s:.1f} ms, carries at least {bytes_s / 1e6:.1f} MB/s each way: "

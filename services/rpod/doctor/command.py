@@ -89,7 +89,7 @@ def _examine(bus: BusConfig, listen: str | None, logs: Path, other: str | None) 
         try:
             yield over_bus.routers(bus, other)
         except RpodError as error:
-            yield Finding(f"router {other}", Level.FAIL, str(error), "start it, and look at the firewall")
+            yield Finding(f"router {other}", Level.FAIL, str(error), "start it, and check the firewall")
 
 
 def _certificate(folder: Path) -> Finding:

@@ -63,17 +63,17 @@ def clock() -> Finding:
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(told))
     except AttributeError:
-        return Finding("clock", Level.UNCHECKED, "this system has no adjtimex", "look at its time service")
+        return Finding("clock", Level.UNCHECKED, "this system has no adjtimex", "check its time service")
     if state < 0:
         return Finding(
             "clock", Level.UNCHECKED, f"adjtimex: {os.strerror(ctypes.get_errno())}",
             "run the doctor on the host itself, not in a container that may not read the clock's state",
         )  # fmt: skip
-    return judge_clock(state == _TIME_ERROR, told.esterror / 1e6, told.maxerror / 1e6)
+    return check_clock(state == _TIME_ERROR, told.esterror / 1e6, told.maxerror / 1e6)
 
 
-def judge_clock(unsynchronised: bool, error_s: float, most_s: float) -> Finding:
-    """Judge a clock by the kernel's own estimate of its error, and by its bound."""
+def check_clock(unsynchronised: bool, error_s: float, most_s: float) -> Finding:
+    """Check a clock by the kernel's own estimate of its error, and by its bound."""
     if unsynchronised:
         return Finding(
             "clock", Level.FAIL, "the kernel says that nothing synchronises it",
@@ -131,10 +131,10 @@ def disk(directory: Path) -> Iterator[Finding]:
     except OSError as error:
         yield Finding(check, Level.FAIL, f"cannot be written: {error}", "give the logger's user the right")
         return
-    yield judge_disk(check, _DISK_BYTES / 1e6 / took_s)
+    yield check_disk(check, _DISK_BYTES / 1e6 / took_s)
 
 
-def judge_disk(check: str, rate_mb_s: float) -> Finding:
+def check_disk(check: str, rate_mb_s: float) -> Finding:
     """Compare a disk's rate with that of a camera."""
     text = f"writes {rate_mb_s:.0f} MB/s; a camera at 45 Hz sends {CAMERA_MB_S:.0f}, with raw samples 109"
     if rate_mb_s < CAMERA_MB_S:

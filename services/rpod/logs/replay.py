@@ -227,7 +227,7 @@ def _print_report(report: ReplayReport) -> None:
     for name, count in report.second_publisher.items():
         console.print(f"{count} messages of {name} are not used: another publisher held the topic")
     for name, publishers in report.undivided.items():
-        told = "the log does not tell which of them sent which message, so that all are used"
+        told = "the log does not say which of them sent which message, so that all are used"
         console.print(f"{name} had {publishers} publishers; {told}")
     if report.resets:
         console.print(f"{report.resets} resets of the live run are repeated")

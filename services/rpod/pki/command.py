@@ -52,7 +52,7 @@ def init_command(folder: Path, *, hosts: Sequence[str], days: float) -> None:
     validity = timedelta(days=days)
     authority = Authority.create(folder, validity=validity)
     router = authority.issue(ROUTER, ROUTER, validity=validity, hosts=_hosts(hosts))
-    print(f"{folder / FOLDER}: the authority. Keep it off the router's host: who has it can be anybody")
+    print(f"{folder / FOLDER}: the authority. Keep it off the router's host: it can certify any name")
     print(f"{router}: the router's credentials, for {', '.join(_hosts(hosts))}")
 
 

@@ -16,7 +16,7 @@ from rpod_analysis.calibration.depth_samples import DepthSamples
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.scoring.score import IntArray
 from rpod_pose.pmd.depth_preparation import calibrated
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.pmd.depth_calibration import (
     CalibrationEvidence,
     DepthCalibration,
@@ -232,7 +232,7 @@ def _standard_errors(
 
 
 def _robust_sigma(values: FloatArray) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
 
 
 def _rms(values: FloatArray | list[float]) -> float:

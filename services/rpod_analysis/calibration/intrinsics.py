@@ -16,7 +16,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera
 
 _MOST_IMAGES = 60
-"""Largest number of images in the fit, chosen so that they differ most; more of the same hardly tell more."""
+"""Largest number of images in the fit, chosen so that they differ most; similar images add little."""
 _LEAST_IMAGES = 6
 _LEAST_MOVE_SHARE = 0.05
 """Least mean motion of the corners between two images, as a share of the image's width."""
@@ -79,7 +79,7 @@ class Intrinsics:
         if self.covered_share < _WELL_COVERED:
             yield "note: distortion is not known where no corner was; move the board into the corners"
         if self.tilt_deg < 20.0:
-            yield "note: a board that faces the camera hardly tells focal length from distance; tilt it"
+            yield "note: a board that faces the camera hardly separates focal length from distance; tilt it"
         if self.rms_px > _WORST_RMS_PX:
             yield "note: the RMS is above a pixel: check that the board is flat, and --pattern and --model"
 

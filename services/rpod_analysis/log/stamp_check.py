@@ -16,7 +16,7 @@ _LEAST_OF_A_CLOCK = 3
 """Least number of sampled stamps that agree on a clock of the log."""
 _DAY_NS = 86_400 * NANOSECONDS
 _FARTHEST_NS = 2**61
-"""Difference of two stamps, ns, beyond which it is not told how large it is: 73 years."""
+"""Difference of two stamps, ns, beyond which its size is not reported: 73 years."""
 _FASTEST = 1_000
 """Largest speed of a log in lockstep, in multiples of the wall clock's."""
 
@@ -49,8 +49,8 @@ class StampCheck:
     def peek(self, logged: Logged) -> int | None:
         """Return the checked stamp of a message that begins with one, None for a message of another type.
 
-        The stamp 0 is none in two cases: in lockstep a sensor announces itself (latched) before the clock
-        runs, and a validity before the first estimate has no estimate whose stamp it could have.
+        A stamp of 0 means "no stamp" in two cases: in lockstep a sensor announces itself (latched) before the
+        clock runs, and a validity before the first estimate has no estimate whose stamp it could have.
 
         Raises:
             MessageRejectedError: the stamp is missing, or it cannot belong to this log.

@@ -29,7 +29,7 @@ class RecordedSearches:
         """Return the result of a search at the frame at which the live run had it; None before."""
         if not search.waited and BEGUN in self.evidence:
             return None
-        if not search.waited and AGE_S in self.evidence:  # after a search in vain, the next one rests
+        if not search.waited and AGE_S in self.evidence:  # after an unsuccessful search, the next one rests
             return Found.nothing(RESTING)
         if search.waited and AGE_S not in self.evidence:
             return None

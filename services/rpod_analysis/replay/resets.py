@@ -1,6 +1,6 @@
-"""Resets of the estimator that a log tells of: its diagnostics count them and keep the last request.
+"""Resets of the estimator that a log records: its diagnostics count them and keep the last request.
 
-A reset takes effect at the next frame, and stands in the diagnostics a moment later. If the statuses between
+A reset takes effect at the next frame, and is in the diagnostics a moment later. If the statuses between
 two diagnostics show that the track ended without being lost, that is where it took effect. Otherwise it is
 repeated after the last status before the diagnostics.
 """
@@ -29,7 +29,7 @@ class LoggedReset:
     """Stamp of the first frame after it."""
     request: ResetRequest
     told_ns: int
-    """Time of arrival of the diagnostics that tell of it."""
+    """Time of arrival of the diagnostics that record it."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class LoggedResets:
         return cls(tuple(found), unknown)
 
     def since(self, begin_ns: int | None) -> list[LoggedReset]:
-        """Return the resets that were told at a time of arrival or later; all of them if it is None."""
+        """Return the resets that were recorded at a time of arrival or later; all of them if it is None."""
         return [reset for reset in self.resets if begin_ns is None or reset.told_ns >= begin_ns]
 
 
@@ -79,7 +79,7 @@ def _read(log: Log, logged: Logged) -> list[Diagnostic]:
 
 
 def _effect_ns(log: Log, status_topic: str, from_ns: int, until_ns: int) -> int:
-    """Return the stamp of the first frame after a reset that was told between two times of arrival."""
+    """Return the stamp of the first frame after a reset that was recorded between two times of arrival."""
     tracked, last_ns = False, 0
     for logged in log.messages(status_topic, start_ns=from_ns - _BEFORE_NS, end_ns=until_ns + 1):
         try:

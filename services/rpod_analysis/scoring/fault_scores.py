@@ -17,7 +17,7 @@ from rpod_schemas.types import Mode
 
 @dataclass
 class FaultScore:
-    """One fault, with what statuses and estimates say of it; they are added in the order of time."""
+    """One fault, with its statuses and estimates, which are added in the order of time."""
 
     fault: InjectedFault
     end_ns: int

@@ -50,7 +50,7 @@ class _Publisher:
 
 @dataclass
 class _Messages:
-    """Stands in for a node: keeps the newest message of each topic instead of publishing it."""
+    """Replacement of a node: keeps the newest message of each topic instead of publishing it."""
 
     clock: WallClock = field(default_factory=WallClock)
     kept: dict[str, Received] = field(default_factory=dict)

@@ -1,9 +1,9 @@
 """Near symmetries by what sensors resolve: predicted frames of two poses, compared against the noise.
 
-A turn matters if one frame may not tell the turned pose from the right one. For each sensor, at the ranges of
-``conditions``, the target is cast at a pose and at the turned one, which is first shifted and turned by the
-least-squares step that brings the two together. A ray that meets both has the log likelihood ratio
-d^2 / (2 s^2): d is the difference of the ranges beyond the errors of model and sensor that no average
+A turn matters if one frame may not distinguish the turned pose from the right one. For each sensor, at the
+ranges of ``conditions``, the target is cast at a pose and at the turned one, which is first shifted and
+turned by the least-squares step that brings the two together. A ray that meets both has the log likelihood
+ratio d^2 / (2 s^2): d is the difference of the ranges beyond the errors of model and sensor that no average
 removes, and s the noise of emulated frames; d / s is at most three. A ray that meets only one of them, or
 surfaces of different brightness in a camera, has the greatest ratio. Outlines and steps of the range may
 differ by one ray. The sum, times the share of rays that an emulated frame measures, is the mean by which the
@@ -45,7 +45,7 @@ _BRIGHTNESS = {"dark": 0, "grey": 1, "white": 2, "mirror": 4}
 _FEWEST, _FEWEST_PIXELS = 6, 200
 """Least number of rays by which two poses are brought together, and that a scan has; the same of an image."""
 _HELD = 1e-6
-"""Share of the information's trace that holds what no ray determines."""
+"""Share of the information's trace that is added, so that motions that no ray determines are held."""
 _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
@@ -72,7 +72,7 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
 
 
 def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:
-    """Return whether any turn about an axis stands for a symmetry about the same axis."""
+    """Return whether a symmetry by any turn about an axis includes a symmetry about the same axis."""
     return one.axis == around.axis and not one.continuous and one.exact <= around.exact
 
 

@@ -38,7 +38,7 @@ Worlds = Annotated[
     tuple[WorldName, ...],
     Field(
         min_length=1,
-        description="Variants of the emulated sensors' physics (rpod_sim_sensor.worlds); no method is told.",
+        description="Variants of the emulated sensors' physics (rpod_sim_sensor.worlds); unknown to methods.",
     ),
 ]
 
@@ -47,7 +47,7 @@ Surroundings = Annotated[
     tuple[SurroundingsName, ...],
     Field(
         min_length=1,
-        description="Things around the target, which no method is told: laboratory is a room, a stand and an "
+        description="Things around the target, unknown to methods: laboratory is a room, a stand and an "
         "arm that holds it; occluded is a room and a plate that hides a half of it.",
     ),
 ]

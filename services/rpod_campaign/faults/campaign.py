@@ -1,6 +1,7 @@
 """``faults``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.faults import trial
 from rpod_campaign.faults.matrix import BY_FAULT, can_have
 from rpod_campaign.faults.options import Options
@@ -8,14 +9,12 @@ from rpod_campaign.faults.report import sections, summarise
 from rpod_campaign.faults.trial import FRAME, FaultCell
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.sequences.cells import document_of
-from rpod_schemas.errors import ConfigurationError
 
 
 def cells(options: Options) -> list[FaultCell]:
     """Return the cells: faults with their sizes and durations. Raises ConfigurationError."""
     for name in options.fault:
-        if name not in BY_FAULT:
-            raise ConfigurationError("--fault", "", f"needs {', '.join(BY_FAULT)}, not {name!r}")
+        require("--fault", name, BY_FAULT)
     return [
         FaultCell(
             fault=name,

@@ -1,8 +1,8 @@
 """A sequence through messages, faults and the whole estimator, in this process.
 
 The sensor's frames become messages, the catalogue's injections change them as in the emulator, and the
-estimator reads what comes of it. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and
-after ``kill`` it begins anew, without a pose.
+estimator reads the result. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and after
+``kill`` it begins anew, without a pose.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node, Received
 from rpod_runtime.frames import PartRejectedError
-from rpod_runtime.sensors import CameraPublisher, LidarPublisher
+from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError
@@ -125,9 +125,8 @@ class _Sensor:
         faults.begin(emulator, round(EPOCH_S * NANOSECONDS))
         self._faults, self._name = faults, config.name
         outlet = cast(Node, FaultyNode(cast(Node, self._node), config, faults, seed=seed))
-        kind = LidarPublisher if cell.sensor == "lidar" else CameraPublisher
-        mount = first.measurement.T_chaser_sensor
-        self._publisher: Any = kind(outlet, config.name, T_chaser_sensor=mount, info=config.info())  # type: ignore[attr-defined]
+        self._publisher = open_publisher(outlet, config.kind, config.name, first.measurement.T_chaser_sensor)
+        self._publisher.announce(config.info())  # type: ignore[attr-defined]
 
     def announcement(self) -> list[Received]:
         """Return the latched messages."""

@@ -1,6 +1,7 @@
 """``integrity``: its cells, and the campaign as one object."""
 
 from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.integrity import trial
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME, FAULT_NAMES
@@ -9,14 +10,12 @@ from rpod_campaign.integrity.report import sections, summarise, totals
 from rpod_campaign.integrity.trial import FRAME
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.sequences.cells import document_of
-from rpod_schemas.errors import ConfigurationError
 
 
 def cells(options: Options) -> list[IntegrityCell]:
     """Return the cells: faults with their sizes, targets, sensors, worlds. Raises ConfigurationError."""
     for name in options.fault:
-        if name not in BY_NAME:
-            raise ConfigurationError("--fault", "", f"needs {', '.join(FAULT_NAMES)}, not {name!r}")
+        require("--fault", name, FAULT_NAMES)
     return [
         IntegrityCell(
             fault=name,

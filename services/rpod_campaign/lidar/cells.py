@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from rpod_campaign.engine.options import either
+from rpod_campaign.engine.trial.names import require
 from rpod_campaign.engine.trial.sizes import in_metres
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import METHODS, TEMPLATE_MATCHING, lidar_input
@@ -52,8 +53,7 @@ def ranges_m(options: RangedOptions, target: str) -> tuple[float, ...]:
 def methods(names: tuple[str, ...], known: tuple[str, ...] = METHODS) -> tuple[str, ...]:
     """Return the methods if all are known. Raises ConfigurationError."""
     for name in names:
-        if name not in known:
-            raise ConfigurationError("--method", "", f"needs {', '.join(known)}, not {name!r}")
+        require("--method", name, known)
     return names
 
 

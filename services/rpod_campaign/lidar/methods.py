@@ -7,6 +7,7 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_campaign.engine.trial.names import require
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of, warm_up
@@ -100,8 +101,7 @@ def lidar_input(
     if method in GLOBAL:
         acquisition = {"kind": "global", **GLOBAL[method]}
         return check(LidarInput, {"acquisition": acquisition}, source=f"--method {method}")
-    if method not in TEMPLATE_MATCHING:
-        raise ConfigurationError("--method", "", f"needs {', '.join(METHODS)}, not {method!r}")
+    require("--method", method, METHODS)
     if matcher not in MATCHERS:
         raise ConfigurationError("--matcher", "", f"needs {', '.join(MATCHERS)}, not {matcher!r}")
     sure = {"comparison": {"sure_range_m": PRINTED_SURE_RANGE_M}} if eq4 == "printed" else {}
@@ -120,8 +120,7 @@ def lidar_input(
 
 def tracking_input(tracker: str) -> LidarInput:
     """Return the configuration with a tracker. Raises ConfigurationError."""
-    if tracker not in TRACKERS:
-        raise ConfigurationError("--matcher", "", f"needs {', '.join(TRACKERS)}, not {tracker!r}")
+    require("--matcher", tracker, TRACKERS)
     return check(LidarInput, {"tracking": TRACKERS[tracker]}, source=f"--matcher {tracker}")
 
 

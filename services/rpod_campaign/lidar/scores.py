@@ -13,8 +13,8 @@ from rpod_target import Target, is_shipped
 SUCCESS_DEG = 3.0
 """Attitude error below which a pose is a success, deg (2015 paper, section 4.2)."""
 RIGHT_M, RIGHT_SHARE = 0.3, 0.03
-"""Position error from which on an accepted pose is wrong, whatever its attitude: of a shipped target, m, and
-of another one, over its longest side. The position of another target also decides on success."""
+"""Position error from which on an accepted pose is wrong, whatever its attitude: in m for a shipped target,
+over the longest side for any other. For these others, success also depends on the position."""
 ACQUISITION_SCHEMA: dict[str, Any] = {
     "truth": POSE,
     "found": POSE,

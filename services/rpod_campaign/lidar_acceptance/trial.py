@@ -58,20 +58,20 @@ class AcceptanceCell:
 
 def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes uniform on SO(3)."""
-    emulator, judge = _bench(cell, seed)
+    emulator, method = _bench(cell, seed)
     range_m = cell.range_m * size_m(cell.scanned_target) / size_m(REFERENCE)
     drawn = random_pose(cell.scanned_target, range_m=range_m, sampling="so3", seed=seed, trial=trial)
     scan = scan_of(emulator, drawn.T_sensor_target, trial=trial)
-    acquisition = judge.checked(scan)
+    acquisition = method.checked(scan)
     row = acquisition_row(drawn.T_sensor_target, acquisition, len(scan.returns_m), cached_target(cell.target))
     other = cell.scanned_target != cell.target
     wrong = other or not limits_of(cached_target(cell.target)).are_met(
         row["attitude_error_deg"], row["position_error_m"]
     )
-    return {**row, **judge.scores(scan, acquisition), "wrong": wrong, "scanned_range_m": range_m}
+    return {**row, **method.scores(scan, acquisition), "wrong": wrong, "scanned_range_m": range_m}
 
 
-class Judge:
+class CheckedMethod:
     """A method, the facility's own check of its poses, and single scores of these poses."""
 
     def __init__(self, cell: AcceptanceCell, pattern: ScanPattern) -> None:
@@ -116,6 +116,8 @@ def size_m(target: str) -> float:
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: AcceptanceCell, seed: int) -> tuple[LidarEmulator, Judge]:
+def _bench(cell: AcceptanceCell, seed: int) -> tuple[LidarEmulator, CheckedMethod]:
     lidar = lidar_config()
-    return emulator_of(cell.scanned_target, lidar, seed, world=cell.world), Judge(cell, pattern_of(lidar))
+    return emulator_of(cell.scanned_target, lidar, seed, world=cell.world), CheckedMethod(
+        cell, pattern_of(lidar)
+    )

@@ -11,7 +11,7 @@ from math import ceil, floor, log10
 import numpy as np
 import polars as pl
 
-from rpod_campaign.limits.trial import HONEST, START
+from rpod_campaign.limits.trial import START, UNAIDED
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.tuning import LimitField
 
@@ -69,8 +69,8 @@ def refused(rows: pl.DataFrame, field: LimitField, value: float) -> pl.Series:
 
 def _right(rows: pl.DataFrame, evidence: str) -> FloatArray:
     """Return the evidence of the right poses that the tracker reached without help, shape (N,)."""
-    honest = rows.filter("seen", "right", pl.col(START).is_in(HONEST))
-    return honest[evidence].drop_nulls().drop_nans().to_numpy().astype(np.float64)
+    unaided = rows.filter("seen", "right", pl.col(START).is_in(UNAIDED))
+    return unaided[evidence].drop_nulls().drop_nans().to_numpy().astype(np.float64)
 
 
 def _limit(values: FloatArray, field: LimitField, share: float, margin: float) -> float:

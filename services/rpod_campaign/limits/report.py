@@ -12,7 +12,7 @@ from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import number
 from rpod_campaign.engine.report.statistics import Rate, quantile, rate
 from rpod_campaign.limits.derivation import Derived, derived, refused
-from rpod_campaign.limits.trial import HONEST, START, LimitsCell, input_of
+from rpod_campaign.limits.trial import START, UNAIDED, LimitsCell, input_of
 from rpod_schemas.config.tuning import limits_in
 
 Results = Sequence[CellResult[LimitsCell]]
@@ -133,7 +133,7 @@ def _bodies(results: Results) -> int:
 
 def _right(results: Results) -> pl.DataFrame:
     """Return the right poses that the tracker reached without help."""
-    return _seen(results).filter("right", pl.col(START).is_in(HONEST))
+    return _seen(results).filter("right", pl.col(START).is_in(UNAIDED))
 
 
 def _wrong(results: Results) -> pl.DataFrame:

@@ -34,10 +34,11 @@ from rpod_target import Target
 START = "start"
 """Column that distinguishes the rows of a trial."""
 NEAR, SEARCHED, OTHER = "prediction", "search", "another satellite"
-HONEST = (NEAR, SEARCHED)
+UNAIDED = (NEAR, SEARCHED)
 """Starts whose right poses limits are derived from; each other start may give the same pose again."""
 TURNS_DEG = (8.0, 15.0, 30.0)
 """Angles by which the truth is turned about random axes."""
+_INPUTS: dict[str, type[LidarInput | PmdInput]] = {"lidar": LidarInput, "pmd": PmdInput}
 MOST_RIVALS = 3
 """Largest number of rivals of a search from which the tracker starts."""
 _TURN = 21
@@ -59,7 +60,7 @@ class LimitsCell(PopulationCell):
 
 def input_of(sensor: str) -> LidarInput | PmdInput:
     """Return the default configuration of a sensor's methods."""
-    return LidarInput() if sensor == "lidar" else PmdInput()
+    return _INPUTS[sensor]()
 
 
 EVIDENCE = sorted(
@@ -89,8 +90,8 @@ def run(cell: LimitsCell, seed: int, trial: int) -> list[dict[str, Any]]:
     target, limits = cached_target(cell.target), limits_of(cell, cached_target(cell.target))
     rows = []
     for name, start in _starts(cell, methods, taken, seed=seed, trial=trial):
-        judge = _others_methods(cell) if name == OTHER else methods
-        found = judge.tracker.track(taken.measurement, start)
+        used = _others_methods(cell) if name == OTHER else methods
+        found = used.tracker.track(taken.measurement, start)
         attitude_deg, position_m = errors(taken.truth, found.T_sensor_target, target)
         right = limits.are_met(attitude_deg, position_m) and name != OTHER
         rows.append(

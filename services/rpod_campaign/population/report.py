@@ -11,7 +11,7 @@ from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
 from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate
-from rpod_campaign.population.trial import LIDAR_RIGHT, PMD_RIGHT, PopulationCell
+from rpod_campaign.population.trial import RIGHT, PopulationCell
 
 Results = Sequence[CellResult[PopulationCell]]
 FAR_OFF_DEG = 10.0
@@ -124,7 +124,7 @@ def sections(results: Results) -> list[Section]:
     if not results:
         return []
     lidar = results[0].cell.sensor == "lidar"
-    angle_deg, share = LIDAR_RIGHT if lidar else PMD_RIGHT
+    angle_deg, share = RIGHT[results[0].cell.sensor]
     note = (
         f"Right: within {angle_deg:g} deg and {100.0 * share:g} % of the longest side, modulo exact "
         "symmetries. Success: right, or ambiguous with the truth among the hypotheses. Errors and NEES are "

@@ -38,8 +38,8 @@ from rpod_sim_sensor.lidar import LidarEmulator
 from rpod_target import Target
 from rpod_target.population import satellite_of
 
-LIDAR_RIGHT, PMD_RIGHT = (3.0, 0.03), (4.0, 0.04)
-"""Largest errors of a right pose: attitude, deg, and position over the longest side."""
+RIGHT = {"lidar": (3.0, 0.03), "pmd": (4.0, 0.04)}
+"""Largest errors of a right pose by sensor: attitude, deg, and position over the longest side."""
 LIDAR_OFF_DEG, LIDAR_OFF = 5.0, 0.03
 """Error of the prediction of a LIDAR's tracker: angle, deg, and distance over the longest side."""
 PMD_OFF_DEG, PMD_OFF = 2.0, 0.02
@@ -143,12 +143,12 @@ def run(cell: PopulationCell, seed: int, trial: int) -> dict[str, Any]:
 
 def measured(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Taken]:
     """Return the methods of a cell, and the scan or frame of a trial."""
-    return (_scanned if cell.sensor == "lidar" else _photographed)(cell, seed, trial)
+    return _MEASURED[cell.sensor](cell, seed, trial)
 
 
 def limits_of(cell: PopulationCell, target: Target) -> Limits:
     """Return the largest errors of a right pose."""
-    angle_deg, share = LIDAR_RIGHT if cell.sensor == "lidar" else PMD_RIGHT
+    angle_deg, share = RIGHT[cell.sensor]
     return Limits(angle_deg, share * longest_side_m(target))
 
 
@@ -236,6 +236,9 @@ def _photographed(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods,
     shot = still(stage, truth, number=trial)
     pixels = int(np.isfinite(shot.frame.depth_m[shot.seen]).sum())
     return methods, Taken(truth, shot.frame, pixels, seen=pixels >= LEAST_PIXELS)
+
+
+_MEASURED = {"lidar": _scanned, "pmd": _photographed}
 
 
 def _things(cell: PopulationCell, *, T_sensor_target: RigidTransform) -> tuple[Thing, ...]:

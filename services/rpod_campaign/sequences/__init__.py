@@ -1,1 +1,1 @@
-"""Sequences of frames with truth, for the campaigns that put the navigator or the estimator through them."""
+"""Sequences of frames with truth, for the campaigns that run the navigator or the estimator on them."""

@@ -12,12 +12,8 @@ from rpod_driver.check.observations import Kept, Observations, middle_m
 from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
-from rpod_schemas.types import PmdInfo
 
-_LIGHT_M_S = 299_792_458.0
 _NEAR_M = 0.01
-_WRAPS = 10.0
-"""Number of unambiguous ranges that several modulation frequencies may extend."""
 _SATURATED_SHARE = 0.1
 """Share of the lit pixels that may be saturated: a glint, not an exposure."""
 _IMAGE_BINS, _SCAN_BINS, _LEAST_POINTS = 24, 12, 4
@@ -31,7 +27,7 @@ _EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
 
 
 def content(seen: Observations) -> CheckResult:
-    """Judge whether the frames can be read."""
+    """Check whether the frames can be read."""
     line = "content"
     if not seen.frames:
         return unchecked(line, "no frame is complete")
@@ -45,7 +41,7 @@ def content(seen: Observations) -> CheckResult:
 
 
 def frozen(seen: Observations) -> CheckResult:
-    """Judge whether content repeats under another stamp: noise never repeats to the bit."""
+    """Check whether content repeats under another stamp: noise never repeats to the bit."""
     line = "frozen"
     blank = not any(each.frame.returns_m.size or _has_depth(each) for each in seen.kept)
     if len(seen.leads) < 2 or blank:
@@ -72,7 +68,7 @@ def _pairs(seen: Observations) -> Iterator[tuple[Kept, Kept]]:
 
 
 def returns(seen: Observations) -> CheckResult:
-    """Judge whether there are returns, and whether whole blocks of them come and go."""
+    """Check whether there are returns, and whether whole blocks of them come and go."""
     line = "returns"
     empty = sum(reason in _EMPTY for reason, _ in seen.refused)
     filled = [kept for kept in seen.kept if kept.frame.returns_m.size or _has_depth(kept)]
@@ -149,7 +145,7 @@ def _point_blocks(first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.intp]
 
 
 def saturation(seen: Observations) -> CheckResult:
-    """Judge how many of the lit pixels are saturated."""
+    """Check how many of the lit pixels are saturated."""
     line = "saturation"
     shares = []
     for kept in seen.kept:
@@ -168,7 +164,7 @@ def saturation(seen: Observations) -> CheckResult:
 
 
 def values(seen: Observations) -> CheckResult:
-    """Judge whether pixels without depth are NaN, and no depth is negative."""
+    """Check whether pixels without depth are NaN, and no depth is negative."""
     line = "values"
     floats = [kept.raw for kept in seen.kept if kept.encoding == "32FC1"]
     if not floats:
@@ -182,7 +178,7 @@ def values(seen: Observations) -> CheckResult:
 
 
 def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
-    """Judge whether distances can be metres: the median is at most ``farthest_m``, for the reason ``why``."""
+    """Check whether distances can be metres: the median is at most ``farthest_m``, for the reason ``why``."""
     line = "unit"
     unit_m = seen.options.source.depth_unit_m
     middles = [middle_m(kept.raw, kept.encoding, unit_m) for kept in seen.kept] + seen.raw_middle_m
@@ -191,11 +187,8 @@ def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
         return unchecked(line, "no frame with a return could be read")
     middle = float(np.median(middles))
     most_m = farthest_m
-    if isinstance(seen.info, PmdInfo) and seen.info.modulation_frequency_hz.size:
-        unambiguous_m = _LIGHT_M_S / (2.0 * float(seen.info.modulation_frequency_hz.min()))
-        limit_m = unambiguous_m * (_WRAPS if seen.info.modulation_frequency_hz.size > 1 else 1.0)
-        if limit_m < most_m:
-            most_m, why = limit_m, "its modulation frequencies measure no farther"
+    if seen.info is not None and seen.info.farthest_m < most_m:
+        most_m, why = seen.info.farthest_m, "the settings in its info measure no farther"
     text = f"median distance {middle:.3g} m"
     if middle > most_m:
         return fail(line, f"{text}, more than {most_m:.3g} m: {why}", "millimetres", median_m=middle)
@@ -205,7 +198,7 @@ def unit(seen: Observations, *, farthest_m: float, why: str) -> CheckResult:
 
 
 def partial(seen: Observations) -> CheckResult:
-    """Judge whether frames or scans are cut."""
+    """Check whether frames or scans are cut."""
     line = "partial"
     if len(seen.kept) < 4:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")

@@ -28,7 +28,7 @@ _MOST_NAMED = 8
 
 
 def publisher(seen: Observations) -> CheckResult:
-    """Judge whether one publisher sends the frames."""
+    """Check whether one publisher sends the frames."""
     line = "publisher"
     peers: dict[str, dict[object, list[int]]] = defaultdict(lambda: defaultdict(list))
     for heard in seen.heard:
@@ -72,7 +72,7 @@ def few(seen: Observations) -> str:
 
 
 def rate(seen: Observations) -> CheckResult:
-    """Judge the rate against the nominal one."""
+    """Check the rate against the nominal one."""
     line = "rate"
     if reason := few(seen):
         return unchecked(line, reason)
@@ -100,7 +100,7 @@ def _missing(leads: list[Heard], period_ns: float) -> list[int]:
 
 
 def gaps(seen: Observations) -> CheckResult:
-    """Judge whether frames are missing between those that were published."""
+    """Check whether frames are missing between those that were published."""
     line = "gaps"
     if reason := few(seen):
         return unchecked(line, reason)
@@ -121,7 +121,7 @@ def gaps(seen: Observations) -> CheckResult:
 
 
 def bus(seen: Observations) -> CheckResult:
-    """Judge losses and waits between publisher and receiver, and tell the bandwidth."""
+    """Check losses and waits between publisher and receiver, and state the bandwidth."""
     line = "bus"
     if reason := few(seen):
         return unchecked(line, reason)
@@ -151,7 +151,7 @@ def bus(seen: Observations) -> CheckResult:
 
 
 def parts(seen: Observations) -> CheckResult:
-    """Judge whether the parts of a frame come, under one stamp."""
+    """Check whether the parts of a frame come, under one stamp."""
     line = "parts"
     if reason := few(seen):
         return unchecked(line, reason)

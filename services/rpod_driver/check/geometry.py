@@ -15,7 +15,7 @@ from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, Level, fail, ok, unchecked
 from rpod_driver.check.sightings import Sighting, sightings_of
 from rpod_driver.check.surface import Surface
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.types import SensorInfo
 
@@ -146,7 +146,7 @@ def _normal(found: list[_Equations], variance_m2: float) -> FloatArray:
 def _variance_m2(found: list[_Equations]) -> float:
     """Return the variance of a residual, m2, which is the weight of the prior."""
     residuals = np.concatenate([r for _, r, _ in found] or [np.zeros(1)])
-    return max(float(1.4826 * np.median(np.abs(residuals))) ** 2, 1e-8) if residuals.size else 1.0
+    return max(float(MAD_TO_SIGMA * np.median(np.abs(residuals))) ** 2, 1e-8) if residuals.size else 1.0
 
 
 def _moved(
@@ -184,7 +184,7 @@ def _equations(
         in_sensor,
         np.cross(sighting.points_m[seen], in_sensor),
     ))  # fmt: skip
-    scale = max(1.4826 * float(np.median(np.abs(residuals))), 1e-4) if residuals.size else 1.0
+    scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), 1e-4) if residuals.size else 1.0
     weights = np.maximum(1.0 - (residuals / (4.0 * scale)) ** 2, 0.0) ** 2
     return J, residuals, weights
 
@@ -226,7 +226,7 @@ def _instant(seen: Observations, dt_s: float, sigma_s: float) -> CheckResult:
 
 
 def _range(range_m: float, along_m: float, sigmas: FloatArray) -> CheckResult:
-    """Judge the error that all ranges share; a mount that is off along the boresight looks the same."""
+    """Check the error that all ranges share; a mount that is off along the boresight looks the same."""
     total_m = range_m - along_m
     sigma_m = float(min(sigmas[1], sigmas[4]))
     text = f"{1e3 * total_m:+.1f} mm along the boresight, mount and range together"

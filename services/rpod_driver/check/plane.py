@@ -12,6 +12,7 @@ from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import ray_cosines, undistort
 from rpod_geometry.planes import fitted_plane, largest_plane
+from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.types import Camera, PmdFrame
 
 Points = NDArray[np.float64]
@@ -25,7 +26,7 @@ _CONTRAST = 0.5
 
 
 def depth_model(seen: Observations) -> CheckResult:
-    """Judge whether depth is z-depth, on planes in view."""
+    """Check whether depth is z-depth, on planes in view."""
     line = "depth_model"
     frames = [kept.frame for kept in seen.kept if isinstance(kept.frame, PmdFrame)]
     if not frames:
@@ -88,14 +89,14 @@ def _noise_m(depth_m: Points) -> float:
     """Return the noise of a depth image from its second differences along rows, m."""
     second = depth_m[:, 2:] - 2.0 * depth_m[:, 1:-1] + depth_m[:, :-2]
     second = second[np.isfinite(second)]
-    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
+    return float(MAD_TO_SIGMA * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
 
 
 def _rms(points_m: Points) -> float:
     """Return the deviation of points from their plane, robust against a few outliers, m."""
     off_m = fitted_plane(points_m).distances_m(points_m)
     plane = fitted_plane(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])
-    return float(1.4826 * np.median(plane.distances_m(points_m)))
+    return float(MAD_TO_SIGMA * np.median(plane.distances_m(points_m)))
 
 
 def _projected(points_m: Points) -> Points:

@@ -28,7 +28,7 @@ _GAP_S = 1.1
 
 
 def mount_second(seen: Observations) -> CheckResult:
-    """Judge the mount against the poses that an estimator finds with another sensor."""
+    """Check the mount against the poses that an estimator finds with another sensor."""
     surface, against = seen.options.surface, seen.options.against
     if surface is None or against is None:
         return unchecked(

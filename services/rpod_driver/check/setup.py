@@ -28,7 +28,7 @@ def _scans(seen: Observations) -> list[LidarScan]:
 
 
 def axes(seen: Observations) -> CheckResult:
-    """Judge whether points have z along the boresight, by where they lie or by the axis of a turning head."""
+    """Check whether points have z along the boresight, by where they lie or by the axis of a turning head."""
     line = "axes"
     scans = [scan for scan in _scans(seen) if len(scan.returns_m)]
     if not scans:
@@ -52,7 +52,7 @@ def mirrored(seen: Observations) -> CheckResult:  # noqa: ARG001 - as of all lin
 
 
 def grid(seen: Observations) -> CheckResult:
-    """Judge a scan's rows and columns against the pattern that its info states."""
+    """Check a scan's rows and columns against the pattern that its info states."""
     line = "grid"
     info = seen.info
     raws = [kept.raw for kept in seen.kept if kept.raw.ndim == 3]
@@ -76,7 +76,7 @@ def grid(seen: Observations) -> CheckResult:
 
 
 def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
-    """Judge the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
+    """Check the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
     for name, seen_rad, said_rad in (
@@ -106,7 +106,7 @@ def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
 
 
 def point_times(seen: Observations) -> CheckResult:
-    """Judge the times of points against the scan time that the info states."""
+    """Check the times of points against the scan time that the info states."""
     line = "point_times"
     scans, info = _scans(seen), seen.info
     scan_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
@@ -128,7 +128,7 @@ def point_times(seen: Observations) -> CheckResult:
 
 
 def instant(seen: Observations) -> CheckResult:
-    """Judge to which instant of a scan its stamp refers, by the times of its points."""
+    """Check to which instant of a scan its stamp refers, by the times of its points."""
     line = "instant"
     scans, info = _scans(seen), seen.info
     timed = [scan.time_s for scan in scans if scan.time_s is not None]
@@ -147,7 +147,7 @@ def instant(seen: Observations) -> CheckResult:
 
 
 def lens(seen: Observations) -> CheckResult:
-    """Judge the lens by itself, and whether it stays."""
+    """Check the lens by itself, and whether it stays."""
     line = "lens"
     if not seen.cameras:
         return unchecked(line, "no camera_info came")
@@ -168,7 +168,7 @@ def lens(seen: Observations) -> CheckResult:
 
 
 def mount(seen: Observations) -> CheckResult:
-    """Judge whether one chain of transforms leads from the sensor to the chaser."""
+    """Check whether one chain of transforms leads from the sensor to the chaser."""
     line = "mount"
     if not seen.frame_ids:
         return unchecked(line, "no frame could be read")
@@ -186,7 +186,7 @@ def mount(seen: Observations) -> CheckResult:
 
 
 def qos(seen: Observations) -> CheckResult:
-    """Judge whether latched topics are latched, by the tokens of their publishers."""
+    """Check whether latched topics are latched, by the tokens of their publishers."""
     line = "qos"
     came = {TF_STATIC.name: seen.mounts, f"{seen.name}/info": seen.infos}
     latched = list(came)

@@ -8,6 +8,7 @@ from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
+from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.messages import NANOSECONDS
 
@@ -22,7 +23,7 @@ _TAI_WITHIN_S = 1.0
 
 
 def order(seen: Observations) -> CheckResult:
-    """Judge whether stamps rise."""
+    """Check whether stamps rise."""
     line = "order"
     if len(seen.leads) < 2:
         return unchecked(line, f"{len(seen.leads)} frames came")
@@ -34,7 +35,7 @@ def order(seen: Observations) -> CheckResult:
 
 
 def jitter(seen: Observations) -> CheckResult:
-    """Judge how even the stamps are, whatever frames are missing."""
+    """Check how even the stamps are, whatever frames are missing."""
     line = "jitter"
     if reason := few(seen):
         return unchecked(line, reason)
@@ -43,7 +44,7 @@ def jitter(seen: Observations) -> CheckResult:
         return unchecked(line, "stamps do not rise")
     steps_s = np.diff([heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
     off_s = steps_s - period_s * np.round(steps_s / period_s)
-    sigma_s = float(1.4826 * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
+    sigma_s = float(MAD_TO_SIGMA * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
     limit_s = max(_JITTER_S, _JITTER_SHARE * period_s)
     text = f"{1e3 * sigma_s:.3f} ms about a period of {1e3 * period_s:.3f} ms, limit {1e3 * limit_s:.1f} ms"
     if sigma_s > limit_s:
@@ -52,7 +53,7 @@ def jitter(seen: Observations) -> CheckResult:
 
 
 def clock(seen: Observations) -> CheckResult:
-    """Judge the stamps against the time of arrival, within the limits of the estimator."""
+    """Check the stamps against the time of arrival, within the limits of the estimator."""
     line = "clock"
     if not seen.leads:
         return unchecked(line, "no frame came")
@@ -84,7 +85,7 @@ def _name(ahead_s: float, stamp_ns: int) -> str:
 
 
 def drift(seen: Observations) -> CheckResult:
-    """Judge whether the sensor's clock runs as fast as this machine's.
+    """Check whether the sensor's clock runs as fast as this machine's.
 
     Delays only add. So the least difference between arrival and stamp in each stretch follows the clock.
     """

@@ -1,4 +1,4 @@
-"""Readings beside the sensors' frames: heard from the bus up to each frame's stamp."""
+"""Readings beside the sensors' frames: received from the bus up to each frame's stamp."""
 
 import logging
 import time
@@ -68,7 +68,7 @@ class StampedInput(ABC, Generic[TrackT]):
     def take_until(self, stamp_ns: int) -> None:
         """Take in what has arrived; wait a little for readings up to a frame's stamp.
 
-        After a wait in vain no other frame waits, until readings are there again.
+        After a wait without a result no other frame waits, until readings are there again.
         """
         if not self._tracks:
             return

@@ -44,7 +44,7 @@ class Subscriptions:
         self._refused: deque[Arrived] = deque()
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
-        """Time up to which all that arrived has been taken in, monotonic clock."""
+        """Time up to which all received messages have been processed, monotonic clock."""
         self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
         self._resets: SimpleQueue[str] = SimpleQueue()

@@ -26,26 +26,34 @@ from rpod_schemas.types import BeliefLevel
 from rpod_target import Equivalence, Joint, Target, posed
 
 STEP_RAD = radians(30.0)
-"""Greatest distance of the angles at which a first pose is searched."""
+"""Greatest distance of the angles at which a first pose is searched. Hand: the fit of an angle converges from
+half of it; the time of a search grows with the number of angles."""
 RESOLUTION_RAD = radians(0.25)
-"""Angles are rounded to multiples of it before the target is put together: an eighth of the aim of 2 deg."""
+"""Angles are rounded to multiples of it before the target is put together. Numerics: an eighth of the aim of
+2 deg."""
 ROUNDS = 6
-"""Largest number of times that angle and pose are fitted in turn."""
+"""Largest number of times that angle and pose are fitted in turn. Numerics: a budget; ``SLOWEST`` lets few of
+them suffice."""
 REGISTERED = 3
-"""Number of poses, the best by their points alone, whose whole frame is compared."""
+"""Number of poses, the best by their points alone, whose whole frame is compared. Numerics: a budget of
+registrations."""
 COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
-"""Angles by which a joint and, against it, all else are turned to find a better fit; the first search may be
-off by half of ``STEP_RAD``."""
+"""Angles by which a joint and, against it, all else are turned to find a better fit. Hand: up to nearly half
+of ``STEP_RAD``, by which the first search may be off."""
 KEPT = 4
-"""Number of trackers that are kept, each at its own angles."""
+"""Number of trackers that are kept, each at its own angles. Numerics: memory; each holds the models of a
+whole target."""
 SLOWEST = 0.8
-"""Largest ratio of two steps in turn from which further ones are extrapolated."""
+"""Largest ratio of two steps in turn from which further ones are extrapolated. Numerics: the sum of all
+further steps is then at most four times the last one."""
 POINTS = 2000
-"""Largest number of a frame's points in the fit of an angle."""
+"""Largest number of a frame's points in the fit of an angle. Numerics: a budget of computation; their number
+is well above the 400 that count as independent."""
 CHANCE = 2.0
-"""Standard deviations of a share of agreeing rays by chance, within which two poses explain a frame alike."""
+"""Standard deviations of a share of agreeing rays by chance, within which two poses explain a frame alike.
+Physics: one in 44 normal errors is larger to one side."""
 DISTINCT_RAD = radians(10.0)
-"""Angle from which on two poses differ."""
+"""Angle from which on two poses differ. Hand: a third of ``STEP_RAD``."""
 
 Angles = Mapping[str, Angle]
 

@@ -29,15 +29,17 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 
 HALVES: FloatArray = np.append(0.0, np.geomspace(1e-2, 1.0, 5))
-"""Values of ``half``, half a decade apart, for sensors that reach 1 to 10 times the least range; 0 means that
-everything is detected."""
+"""Values of ``half``; 0 means that everything is detected. Numerics: half a decade apart, for sensors that
+reach 1 to 10 times the least range."""
 STEEPNESS = log(81.0) / log(10.0)
-"""Exponent for a rise from 10 to 90 % over a factor of ten: detectors need a factor of four, and the albedo
-of a class is known within a factor of two."""
+"""Exponent of a rise from 10 to 90 % over a factor of ten. Physics: detectors need a factor of four, and the
+albedo of a class is known within a factor of two."""
 LEAST_LOG, RUNGS, RUNGS_PER_LOG = log(1e-4), 64, 4.5
-"""Logarithm of the least echo of the table, its length, and its steps per unit of the logarithm."""
+"""Logarithm of the least echo of the table, its length, and its steps per unit of the logarithm. Numerics: it
+covers echoes from 1e-4 to 120, each a quarter larger."""
 LINEAR_RUNGS, LINEAR_STEPS = 512, 64.0
-"""Length of the table of ``expected_shares``, and its steps per unit of the echo."""
+"""Length of the table of ``expected_shares``, and its steps per unit of the echo. Numerics: it covers echoes
+up to 8 in equal steps."""
 
 
 class Detection(NamedTuple):

@@ -130,7 +130,8 @@ def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
 
 
 _FEW_RETURNS = 24
-"""Returns of the second ideal scan: so few that the pose is the mean of a sampled posterior."""
+"""Number of returns of the second ideal scan. Numerics: below ``projective_icp.MANY``, so that the pose is
+the mean of a sampled posterior, whose code is then compiled too."""
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan, ...]:

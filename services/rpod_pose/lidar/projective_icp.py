@@ -50,14 +50,16 @@ from rpod_schemas.types import BeliefLevel, LidarScan, Source
 from rpod_target import Target
 
 NEARLY_ROUND = 12
-"""Least order of a near-symmetry whose axis is nearly one of revolution."""
+"""Least order of a near-symmetry whose axis is nearly one of revolution. Hand: turns by 30 deg or less;
+larger ones are rivals of their own."""
 NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
-"""Turns about such an axis from the prediction: up to half of the step of the least order."""
+"""Turns about such an axis from the prediction. Physics: up to half of the step of the least order."""
 VAGUE_DEG = 3.5
-"""Largest standard deviation of a believed turn, deg; an error of 10 deg then has a probability of 0.5 %."""
+"""Largest standard deviation of a believed turn, deg. Physics: an error of 10 deg then has a probability of
+0.5 %."""
 MANY = 70
 """Number of informative returns from which on a scan that is as likely as at a right pose determines it.
-Fewer leave several optima within some standard deviations."""
+Hand: fewer leave several optima within some standard deviations."""
 
 
 class ProjectiveIcp:

@@ -29,11 +29,14 @@ from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 
 FEWEST = 3
-"""Least number of returns on faces that determine a step."""
+"""Least number of returns on faces that determine a step. Physics: each gives one equation, and the prior of
+a step holds the rest."""
 INFLUENTIAL = 0.75
-"""Leverage above which one return alone determines a motion: it may be on the wrong face."""
+"""Leverage above which one return alone determines a motion: it may be on the wrong face. Hand: without this
+return the motion has a quarter of its information."""
 PARALLEL = 1e-6
-"""Least squared cosine of incidence in a division, for a face seen edge-on."""
+"""Least squared cosine of incidence in a division, for a face seen edge-on. Numerics: it avoids a division by
+zero; ``steepest`` is larger in practice."""
 
 
 class ScanErrors(NamedTuple):

@@ -19,11 +19,13 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 STEEPEST = 0.05
-"""Least cosine of incidence in the effect of a surface's slack along the ray."""
+"""Least cosine of incidence in the effect of a surface's slack along the ray. Numerics: it avoids a division
+by zero; it is 87 deg."""
 PEAK = 0.375
-"""Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale."""
+"""Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale.
+Physics: 3/8."""
 HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
-"""Mean and variance of minus the logarithm of that density, integrated numerically."""
+"""Mean and variance of minus the logarithm of that density. Physics: integrated numerically."""
 
 
 class Assumptions(NamedTuple):

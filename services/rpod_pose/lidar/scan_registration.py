@@ -43,15 +43,19 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 
 ROUNDS = 5
-"""Largest number of times that the outline is found anew."""
+"""Largest number of times that the outline is found anew. Numerics: a budget; a round that moves the outline
+by less than ``STRAIGHT`` is the last."""
 STRAIGHT = 0.125
-"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines found."""
+"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines found. Hand: a
+greater one ends the rounds earlier."""
 STRETCH = 3.0
-"""Factor on the standard deviations of a pose from which its neighbourhood is sampled."""
+"""Factor on the standard deviations of a pose from which its neighbourhood is sampled. Numerics: the first
+samples must be wider than the posterior; later rounds narrow them."""
 RESUMED = 4
-"""Largest number of times that the surroundings of a pose are sampled."""
+"""Largest number of times that the surroundings of a pose are sampled. Numerics: a budget of computation."""
 CHANCE = 3.0
-"""Drop of the log likelihood from the greatest to that of a typical right pose, for six unknowns."""
+"""Drop of the log likelihood from the greatest to that of a typical right pose. Physics: half of the mean of
+a chi-square variable, for six unknowns."""
 
 
 class Reach(NamedTuple):

@@ -34,20 +34,25 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Float32Array
 
 FIELD_SIGMAS = 6.0
-"""Least Geman-McClure scale of the steps in the distance field, in standard deviations of a range."""
+"""Least Geman-McClure scale of the steps in the distance field, in standard deviations of a range. Hand:
+narrower steps, to the faces, follow."""
 FACE_SIGMAS = np.array([20.0, 12.0, 8.0])
-"""Geman-McClure scales of a candidate's steps to the faces, in the same unit."""
+"""Geman-McClure scales of a candidate's steps to the faces, in the same unit. Numerics: the steps narrow from
+wide, which converges from farther, to close."""
 FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
-"""Geman-McClure scales of the last steps, for the best candidates, in the same unit."""
+"""Geman-McClure scales of the last steps, for the best candidates, in the same unit. Numerics: they continue
+``FACE_SIGMAS`` down to four standard deviations."""
 HALFWAY = 4.0
-"""Greatest deficit per return of a pose that a refinement on the outline may still correct."""
+"""Greatest deficit per return of a pose that a refinement on the outline may still correct. Hand: a larger
+value refines more wrong poses, a smaller one may miss a right one."""
 GAIN = 5.0
-"""Gain of log likelihood after which a pose's near-symmetries are tried again."""
+"""Gain of log likelihood after which a pose's near-symmetries are tried again. Hand: a pose 150 times as
+likely counts as another one; a smaller value costs time."""
 ABSORBED = 22.5
 """Squared distance of a pose from the mean of another's posterior, in its standard deviations, up to which it
-belongs to it: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
+belongs to it. Physics: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
 OF_NOTHING_RAD = np.deg2rad(104.0)
-"""Standard deviation of an angle of which nothing is known."""
+"""Standard deviation of an angle of which nothing is known. Physics: 360 deg over sqrt(12)."""
 
 
 @dataclass(frozen=True, eq=False)

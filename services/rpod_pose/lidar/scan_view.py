@@ -12,7 +12,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array, LidarScan
 
 NEAREST_M, FARTHEST_M = 0.05, 1e5
-"""Limits of a valid range: many sensors send a point in their origin for a ray without a return."""
+"""Limits of a valid range. Physics: many sensors send a point in their origin for a ray without a return, and
+none measures 100 km."""
 
 HIDDEN_M = np.inf
 """Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""

@@ -20,11 +20,12 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import pose_error
 
 EXPLAINED_DEG, EXPLAINED_M = 20.0, 0.5
-"""Greatest turn and way from a prediction to a pose that an accelerated target explains: 60 deg/s2 and 3 m/s2
-turn it by 7 deg and move it by 0.4 m in half a second, and attitudes that are mistaken for each other are
-farther apart."""
+"""Greatest turn and way from a prediction to a pose that an accelerated target explains. Physics: 60 deg/s2
+and 3 m/s2 turn it by 7 deg and move it by 0.4 m in half a second, and attitudes that are mistaken for each
+other are farther apart."""
 CONTESTED_S = 0.2
-"""Time of believed poses that agree on another attitude after which a track is lost."""
+"""Time of believed poses that agree on another attitude after which a track is lost. Hand: nine frames of a
+camera at 45 Hz; at a LIDAR's 1 Hz a second pose decides."""
 
 
 @dataclass(frozen=True, eq=False)

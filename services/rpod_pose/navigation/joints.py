@@ -13,9 +13,10 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_target import Joint
 
 SETTLING_S = 100.0
-"""Time over which a rate may change by the joint's greatest rate, one standard deviation."""
+"""Time over which a rate may change by the joint's greatest rate, one standard deviation. Hand: a drive that
+holds its rate; a shorter time widens predictions."""
 UNIFORM = sqrt(12.0)
-"""Width of a uniform distribution over its standard deviation."""
+"""Width of a uniform distribution over its standard deviation. Physics: sqrt(12)."""
 
 
 @dataclass(frozen=True, eq=False)

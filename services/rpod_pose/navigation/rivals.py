@@ -25,9 +25,11 @@ from rpod_schemas.types import Hypothesis
 from rpod_target import Equivalence
 
 CORRELATED_S = 1.0
-"""Time within which two frames show the same errors of model and sensor, s."""
+"""Time within which two frames show the same errors of model and sensor, s. Hand: a longer time decides
+later; a shorter one counts the same error of a model often."""
 SAME_DEG = 5.0
-"""Angle between two attitudes, deg, below which they are the same rival."""
+"""Angle between two attitudes, deg, below which they are the same rival. Hand: above the errors of tracked
+poses, below the turns of near-symmetries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,8 @@ class Rivals(NamedTuple):
 
 
 UNLISTED = log(1e-3)
-"""Log likelihood of a pose that a search does not list, relative to its best (``hypotheses.NEGLIGIBLE``)."""
+"""Log likelihood of a pose that a search does not list, relative to its best (``hypotheses.NEGLIGIBLE``).
+Numerics: the least weight that a search lists."""
 
 
 def distinct(tracks: Sequence[Rival], alike: Equivalence) -> tuple[Rival, ...]:

@@ -13,11 +13,14 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Camera
 
 _SAME = 1e-3
-"""Greatest relative difference of two equal focal lengths, and greatest difference of equal distortions."""
+"""Greatest relative difference of two equal focal lengths, and greatest difference of equal distortions.
+Hand: drivers round intrinsics; a changed lens or mode differs by percents."""
 _SAME_PX = 0.5
-"""Greatest difference of two equal principal points."""
+"""Greatest difference of two equal principal points. Hand: two conventions for a pixel's centre differ by as
+much."""
 _PATIENCE = 10
-"""Number of consecutive frames of another camera after which the camera counts as changed."""
+"""Number of consecutive frames of another camera after which the camera counts as changed. Hand: a quarter of
+a second at 45 Hz; one foreign frame changes nothing."""
 
 
 class CameraCheck:

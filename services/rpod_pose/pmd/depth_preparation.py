@@ -32,24 +32,32 @@ from rpod_target import Target
 
 _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
 """Greatest standard deviations of a pose at which a track begins: of the position, over the target's radius,
-and of the attitude, deg."""
+and of the attitude, deg. Hand: a track converges from there; a larger value begins tracks that the frame
+leaves open."""
 _FARTHEST_M = 15.0
-"""Greatest distance of the target in a search without a prediction: beyond, too little light returns."""
+"""Greatest distance of the target in a search without a prediction. Hand: beyond, too little light
+returns."""
 _MARGIN = 1.0 / 15.0
-"""Margin around the target's bounding sphere for the error of a prediction, over the unambiguous range."""
+"""Margin around the target's bounding sphere for the error of a prediction, over the unambiguous range. Hand:
+0.5 m at 20 MHz; twice the radius and this must stay below the unambiguous range."""
 _LEAST_CONCENTRATION = 0.3
-"""Least length of the mean phasor of an image with one distance: 0 for any distance, 1 for a single one."""
+"""Least length of the mean phasor of an image with one distance: 0 for any distance, 1 for a single one.
+Hand: below it the image has no one distance, and all of them are tried alike."""
 _SPREAD = (0.1, 0.75)
-"""Least and greatest RMS spread of a target's image across the line of sight, over the target's radius. A
-disc has 0.71."""
+"""Least and greatest RMS spread of a target's image across the line of sight, over the target's radius.
+Physics: a disc has 0.71; a thin body seen from its end has little."""
 _LONGEST = 1.02
-"""Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding."""
+"""Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding. Hand:
+2 % for the offset of a calibration and for rounding."""
 _STEP_M, _END_M = 0.001, 30.0
-"""Step and end of the table of corrections: 5 MHz, the lowest frequency in use, is unambiguous up to here."""
+"""Step and end of the table of corrections. Numerics: wiggling is linear over a millimetre. Physics: 5 MHz,
+the lowest frequency in use, is unambiguous up to here."""
 _ROUNDS = 40
-"""Iterations of the inversion of a calibration; each halves the error, whose slope is at most 0.5."""
+"""Iterations of the inversion of a calibration. Numerics: each halves the error, whose slope is at most
+0.5."""
 _SAME = 1e-3
-"""Greatest relative difference of two equal frequencies."""
+"""Greatest relative difference of two equal frequencies. Hand: drivers round frequencies; two modes differ by
+percents."""
 
 
 class DepthPreparation:

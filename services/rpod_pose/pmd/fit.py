@@ -33,23 +33,28 @@ from rpod_target import Target
 from rpod_target.tables import Tables, kept_of
 
 STEEPEST = 0.1
-"""Least cosine of incidence in the effect of the slack along the ray."""
+"""Least cosine of incidence in the effect of the slack along the ray. Numerics: it avoids a division by zero;
+it is 84 deg."""
 GRAZING = 0.02
-"""Least cosine of incidence in the expected amplitude."""
+"""Least cosine of incidence in the expected amplitude. Numerics: it avoids the logarithm of zero."""
 DARK = -1.0
-"""Logarithm of the least amplitude that is compared."""
+"""Logarithm of the least amplitude that is compared. Numerics: it is less than one count."""
 BLURRED_PX = 1.5
-"""Distance over which the outline may light pixels: half a pixel's own width, and one of the 3 x 3 median."""
+"""Distance over which the outline may light pixels. Physics: half a pixel's own width, and one of the 3 x 3
+median."""
 MARGIN = 6
-"""Rows and columns beside the lit pixels that a pose may reach."""
+"""Rows and columns beside the lit pixels that a pose may reach. Numerics: a budget; a pose that moves farther
+is compared with fewer pixels."""
 SIMPLER = 1_500, 4_000, 10_000
-"""Numbers of triangles to which a mesh is simplified: hundreds of poses are rendered in a search."""
+"""Numbers of triangles to which a mesh is simplified, the fewest that suffice. Numerics: hundreds of poses
+are rendered in a search."""
 SIMPLER_SHARE = 0.005
-"""Greatest error of that, over the longest side: a fifth of a coarse pixel, of which 40 are on the target."""
+"""Greatest error of that, over the longest side. Numerics: a fifth of a coarse pixel, of which 40 are on the
+target."""
 LEAST_AREA = 1e-30
-"""Least area in a division, m2."""
+"""Least area in a division, m2. Numerics: it avoids a division by zero."""
 GAIN_STRIDE = 3
-"""Stride of the pixels from which the gain is estimated."""
+"""Stride of the pixels from which the gain is estimated. Numerics: a budget of computation."""
 
 
 def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:

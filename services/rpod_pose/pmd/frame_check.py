@@ -36,25 +36,32 @@ from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
 
 SIGMAS = 3.0
-"""Greatest consistent error of a range, in standard deviations: one in 370 normal errors is larger."""
+"""Greatest consistent error of a range, in standard deviations. Physics: one in 370 normal errors is
+larger."""
 SKY_SPREADS = 4.5
-"""Upper limit of the sky's amplitude above its median, in median absolute deviations (three sigma)."""
+"""Upper limit of the sky's amplitude above its median, in median absolute deviations. Physics: three standard
+deviations of normal noise."""
 SKY_SAMPLES = 600
-"""Number of pixels from which the sky's amplitude is estimated."""
+"""Number of pixels from which the sky's amplitude is estimated. Numerics: their median is known to a
+twentieth of a standard deviation."""
 BRIGHT = 0.25, 4.0
 """Limits over the target's median amplitude: between them a pixel without a range is bright; above them it
-glints or is beside a glint."""
+glints or is beside a glint. Hand: a narrower interval finds fewer contradictions, a wider one takes shaded
+faces for bright."""
 DIM = 0.15
-"""Greatest sky amplitude over the target's median: from far away, foil at an angle is as dark as the sky."""
+"""Greatest sky amplitude over the target's median. Hand: from far away, foil at an angle is as dark as the
+sky."""
 NEGLIGIBLE = 3
-"""Number of inconsistent pixels that is always tolerated: a distant target has few pixels altogether."""
+"""Number of inconsistent pixels that is always tolerated. Hand: a distant target has few pixels
+altogether."""
 LEAST_HITS = 6
-"""Least number of the nine rays in and around a pixel that must meet the target for a surface to be missing:
-some may miss the facets of a thin part."""
+"""Least number of the nine rays in and around a pixel that must meet the target for a surface to be missing.
+Hand: some may miss the facets of a thin part; the side of a face has six."""
 NOT_REFLECTED = np.empty(0)
 """No knowledge of second reflections."""
 GRAZING = 0.2
-"""Cosine of incidence below which foil is as dark as the sky."""
+"""Cosine of incidence below which foil is as dark as the sky. Hand: 78 deg; only pixels that face the camera
+more count as missing."""
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,17 @@ from rpod_target import Target
 ANY_ECHO = 0.0, np.ones(1)
 """Steps and table (``energies``) of a sensor that detects everything."""
 FIELD_STEPS = np.geomspace(1.0, 0.2, 6)
-"""Geman-McClure scales of the steps that align a candidate with the frame, over the truncation."""
+"""Geman-McClure scales of the steps that align a candidate with the frame, over the truncation. Numerics: the
+steps narrow from wide, which converges from farther, to close."""
 FINE_STEPS = np.geomspace(0.3, 0.1, 6)
-"""Geman-McClure scales of the steps that refine the best candidates, over the truncation."""
+"""Geman-McClure scales of the steps that refine the best candidates, over the truncation. Numerics: as
+``FIELD_STEPS``, from poses that these have aligned."""
 _ROUNDS, _SAMPLES = 6, 32
-"""Number of rounds of the refinement on the outline, and of samples in each: a budget of computation."""
+"""Number of rounds of the refinement on the outline, and of samples in each. Numerics: a budget of
+computation."""
 _POWER = 8
-"""A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
+"""Power of two of the samples that are made. Numerics: a Sobol sequence is even at powers of two; 2^8 samples
+or fewer are used."""
 
 
 @cache

@@ -11,17 +11,21 @@ from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
-"""Most rays of an image for the search of places, and for the comparison with a rendering."""
+"""Most rays of an image for the search of places, and for the comparison with a rendering. Numerics: budgets
+of computation."""
 LEAST_SKY = 0.05
-"""Least share of the image from which the amplitude of the sky is taken; in a room there is none."""
+"""Least share of the image from which the amplitude of the sky is taken. Hand: in a room there is none, but a
+few dark pixels."""
 DARK = 0.1
-"""Greatest amplitude of a ray that meets nothing, over the median amplitude on the target."""
+"""Greatest amplitude of a ray that meets nothing, over the median amplitude on the target. Hand: below the
+shades of a target's materials."""
 
 
 _BESIDE = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
 """The four pixels that share a side with one."""
 _AROUND, _NEAR_PX = np.ones((3, 3), np.uint8), (5, 5)
-"""A pixel with those around it, and the size, px, in which one finds pixels that see other things alone."""
+"""A pixel with those around it, and the size, px, in which one finds pixels that see other things alone.
+Hand: two pixels to each side are past the blur."""
 
 
 class PartOfFrame(PmdFrame):

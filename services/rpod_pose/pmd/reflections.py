@@ -16,15 +16,16 @@ from rpod_target import Target
 from rpod_target.tables import kept_of
 
 DIRECTIONS = 32
-"""Number of directions from each place."""
+"""Number of directions from each place. Numerics: a budget of computation."""
 PLACES = 100_000
-"""Number of places on the target; each triangle has one at least."""
+"""Number of places on the target; each triangle has one at least. Numerics: a budget of computation."""
 MOST_PLACES = 16
-"""Greatest number of places on a triangle."""
+"""Greatest number of places on a triangle. Numerics: a budget for targets of few triangles."""
 MOST_RAYS = 2_000_000
-"""Number of rays that are cast at a time."""
+"""Number of rays that are cast at a time. Numerics: memory."""
 NUDGE_SHARE = 1e-4
-"""Distance off the surface at which the rays start, over the target's radius."""
+"""Distance off the surface at which the rays start, over the target's radius. Numerics: far above the
+rounding, far below any detail."""
 
 
 def reflected_m(target: Target) -> FloatArray:

@@ -18,9 +18,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 NEAREST_M = 0.05
-"""Least distance in the conversion of lengths to pixels: no camera measures nearer."""
+"""Least distance in the conversion of lengths to pixels. Physics: no camera measures nearer."""
 NINE = 9
-"""Number of rays: a pixel and its eight neighbours."""
+"""Number of rays: a pixel and its eight neighbours. Physics: 3 x 3."""
 
 
 class FineRanges(NamedTuple):

@@ -21,19 +21,25 @@ from rpod_schemas.config.pmd.search import PmdSceneConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 DARKEST_PERCENT = 2.0
-"""Percentile of the amplitudes of pixels with depth that stands for the darkest of them."""
+"""Percentile of the amplitudes of pixels with depth that stands for the darkest of them. Hand: a lower
+percentile is noise, a higher one leaves dark materials out."""
 SEGMENTATION_ROUNDS = 5
-"""Largest number of times that a ball around the target is moved to the median of the points in it."""
+"""Largest number of times that a ball around the target is moved to the median of the points in it. Numerics:
+a budget of computation."""
 REACH = 1.5
-"""Radius, in radii of the target, around the median of its visible points that contains all of them."""
+"""Radius, in radii of the target, around the median of its visible points that contains all of them. Hand:
+about ``separation.BALL``."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
-"""Least amplitude of a lit pixel: median absolute deviations above the sky (six sigma), and counts."""
+"""Least amplitude of a lit pixel: median absolute deviations above the sky (six sigma), and counts. Physics:
+six standard deviations of normal noise; a digital amplitude has no step below one count."""
 MOST_GLINTS = 0.9
-"""Greatest share of zeros among dark pixels by glints: more zeros are a sky whose amplitude has no noise."""
+"""Greatest share of zeros among dark pixels by glints. Hand: more zeros are a sky whose amplitude has no
+noise."""
 WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
-"""Smallest shape of a glint, and the shape within which a glint changes medians."""
+"""Smallest shape of a glint, and the shape within which a glint changes medians. Physics: medians of 3 x 3
+pixels wipe what is smaller, and reach as far."""
 MEDIAN_OVER_MEAN = 1.25
-"""Standard deviation of the median of normal errors over that of their mean."""
+"""Standard deviation of the median of normal errors over that of their mean. Physics: sqrt(pi / 2)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,8 @@ from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
-"""Difference of two log likelihoods from which one of them is preferred: a likelihood-ratio test at 95 %."""
+"""Difference of two log likelihoods from which one of them is preferred. Physics: a likelihood-ratio test at
+95 %."""
 
 
 @dataclass(frozen=True, eq=False)

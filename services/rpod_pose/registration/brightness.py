@@ -5,12 +5,10 @@ drawings. A user can name a class of brightness (``Material.looks``). A class ha
 deviation of its logarithm:
 
 - dark, grey and white span 0.05 to 0.2, 0.2 to 0.5 and 0.5 to 1; their albedo is the geometric mean of the
-limits.
-  In the widest of them the logarithm has a standard deviation of 0.4. Surfaces that are not Lambertian add
-  0.3, which gives 0.5 in total.
+  limits. In the widest of them the logarithm has a standard deviation of 0.4. Surfaces that are not
+  Lambertian add 0.3, which gives 0.5 in total.
 - a mirror reflects into one direction. From other directions it is as dark as black paint (0.05); in a glint
-it is
-  brighter than any diffuse surface. So its logarithm has a standard deviation of about 2.
+  it is brighter than any diffuse surface. So its logarithm has a standard deviation of about 2.
 """
 
 from collections.abc import Mapping
@@ -40,7 +38,7 @@ CLASSES: Mapping[Albedo, Brightness] = MappingProxyType(
         "mirror": Brightness(0.4, 2.0),
     }
 )
-"""Priors by the name of the class."""
+"""Priors by the name of the class. Hand: the limits and the spreads are above."""
 
 
 def albedos(target: Target) -> FloatArray:

@@ -14,7 +14,8 @@ from rpod_geometry.kernels import kernel
 from rpod_schemas.arrays import FloatArray
 
 EDGE_M2 = 1e-9
-"""Tolerance of the inside test (distance times length of the edge): no foot falls between two faces."""
+"""Tolerance of the inside test (distance times length of the edge). Numerics: no foot falls between two
+faces."""
 
 
 class Triangles(NamedTuple):

@@ -11,7 +11,7 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target, TargetError
 
 FEWEST_NODES = 2
-"""Least number of nodes along each axis of a field: they make one cell."""
+"""Least number of nodes along each axis of a field. Physics: they make one cell."""
 
 
 class FieldArrays(NamedTuple):

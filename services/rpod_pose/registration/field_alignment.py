@@ -27,14 +27,17 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 AWAY = 0.5
-"""Greatest cosine between a ray and the normal of a face that can have reflected it."""
+"""Greatest cosine between a ray and the normal of a face that can have reflected it. Hand: a face that is
+seen has a negative one; 0.5 leaves 30 deg beyond that for the error of the pose."""
 TRACED = 8
-"""Greatest number of places on the way to the face in front of a point."""
+"""Greatest number of places on the way to the face in front of a point. Numerics: a budget; each step is at
+least half a cell."""
 REACH_M, REACH_RAD = 0.5, 0.1
-"""Prior standard deviations of a step, m and rad, so that it is small in directions that no point
+"""Prior standard deviations of a step, m and rad. Numerics: it is then small in directions that no point
 determines."""
 SPREAD = 0.1
-"""Assumed standard deviation of the residuals, as a share of the Geman-McClure scale."""
+"""Assumed standard deviation of the residuals, as a share of the Geman-McClure scale. Hand: it acts on
+directions that no point determines."""
 
 
 class Points(NamedTuple):

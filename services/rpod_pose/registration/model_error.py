@@ -25,9 +25,11 @@ from rpod_target.build.sampling import spread_over
 from rpod_target.mesh.topology import areas_m2
 
 CELL = 0.4
-"""Size of a cell over the target's longest side: half of the length of a wave of a body that is deformed."""
+"""Size of a cell over the target's longest side. Hand: half of the length of a wave of a body that is
+deformed."""
 SAMPLES, FEWEST_SAMPLES = 4096, 32
-"""Number of points of the surface by which the part of a place is found, and least number on each part."""
+"""Number of points of the surface by which the part of a place is found, and least number on each part.
+Numerics: a budget of computation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,17 +28,20 @@ from rpod_schemas.config.pmd.methods import DepthErrorConfig
 from rpod_target.equivalence import with_variance_about
 
 DAMPING = 1e-6
-"""Information added per residual, so that a step has no component in an unobservable direction."""
+"""Information added per residual. Numerics: a step then has no component in an unobservable direction."""
 DEGENERATE = 1e-4
-"""Least information of the worst direction, relative to a direction that every residual determines."""
+"""Least information of the worst direction, relative to a direction that every residual determines. Hand: the
+standard deviation is then a hundred times as large."""
 UNKNOWNS = 7
-"""Number of unknowns: six of the pose, and the length by which all ranges are too long."""
+"""Number of unknowns. Physics: six of the pose, and the length by which all ranges are too long."""
 LEAST_PIVOT = 1e-14
-"""Least share of a diagonal element that must be left after the elimination of the unknowns before it."""
+"""Least share of a diagonal element that must be left after the elimination of the unknowns before it.
+Numerics: below, only rounding is left of it."""
 SUMS = 35
-"""Number of entries of the sums: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
+"""Number of entries of the sums. Physics: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
 OF_POSE = 27
-"""Number of entries of the pose, which come first; those of the seventh unknown follow."""
+"""Number of entries of the pose, which come first; those of the seventh unknown follow. Physics: 7 + 6 + 5 +
+4 + 3 + 2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,10 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
-"""Angle between successive points of an even spiral on a sphere, rad."""
+"""Angle between successive points of an even spiral on a sphere, rad. Physics: the golden section of a
+turn."""
 BORESIGHT = np.array([0.0, 0.0, 1.0])
-"""Direction in which a sensor looks (ICD section 1)."""
+"""Direction in which a sensor looks. Physics: +z (ICD section 1)."""
 
 
 def super_fibonacci(count: int) -> Rotation:

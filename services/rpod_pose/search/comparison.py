@@ -13,7 +13,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 FEW_RETURNS, MORE_RETURNS = 64, 256
-"""Number of returns in the comparison of all attitudes, and in that of the better ones."""
+"""Number of returns in the comparison of all attitudes, and in that of the better ones. Numerics: budgets of
+computation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,11 +23,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 CELLS = 96
-"""Cells of the image of distances from returns, along each side."""
+"""Cells of the image of distances from returns, along each side. Numerics: memory and time."""
 NEAREST_M = np.float32(0.05)
-"""Least z of a point in view."""
+"""Least z of a point in view. Physics: no sensor measures nearer."""
 NOTHING_IN_VIEW = 1e9
-"""Energy of an attitude with no point in view."""
+"""Energy of an attitude with no point in view. Numerics: larger than any other energy."""
 
 
 Real = float | np.floating[Any]

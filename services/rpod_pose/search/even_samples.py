@@ -7,7 +7,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.tables import kept
 
 _SEED = 1
-"""Seed of the scrambling: any seed is as even."""
+"""Seed of the scrambling. Numerics: any seed is as even."""
 
 
 def sobol(dimensions: int, power: int) -> FloatArray:

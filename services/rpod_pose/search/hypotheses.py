@@ -14,7 +14,7 @@ from rpod_schemas.types import BeliefLevel
 from rpod_target import Equivalence
 
 NEGLIGIBLE = 1e-3
-"""Rivals with a smaller weight are not listed."""
+"""Rivals with a smaller weight are not listed. Numerics: all that are left out hardly change the others."""
 
 
 def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, exact: Equivalence) -> tuple[Rival, ...]:

@@ -13,9 +13,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target import Equivalence, Target
 
 HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
-"""Half turns about the target's axes: the likeliest mistakes, if it declares no near-symmetries."""
+"""Half turns about the target's axes. Hand: the likeliest mistakes, if it declares no near-symmetries."""
 LEAST_TURN_DEG = 1.0
-"""Rotations by a smaller angle count as the identity: axes in target files are rounded."""
+"""Rotations by a smaller angle count as the identity. Hand: axes in target files are rounded."""
 
 
 class Placed(Protocol):

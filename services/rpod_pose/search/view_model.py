@@ -27,19 +27,23 @@ from rpod_target import Target
 from rpod_target.tables import Tables, kept_of
 
 VIEWS = 600
-"""Number of directions in the table: they are about 8 degrees apart."""
+"""Number of directions in the table. Numerics: memory; they are about 8 deg apart."""
 FROM_RADII = 2.5
-"""Distance of the viewpoints, in radii of the target."""
+"""Distance of the viewpoints, in radii of the target. Hand: the visible points change little with the
+distance."""
 CUBE = 16
-"""Cells along each edge of the cube that finds the nearest direction."""
+"""Cells along each edge of the cube that finds the nearest direction. Numerics: a cell is about 6 deg wide,
+less than ``VIEWS`` are apart."""
 PIXELS = 128
-"""Pixels along each side of the images that show which points are hidden."""
+"""Pixels along each side of the images that show which points are hidden. Numerics: each is 1.7 % of the
+target's radius."""
 ANCHORS = 5
-"""Number of surface regions; a truncated scan may show any one of them."""
+"""Number of surface regions. Hand: a truncated scan may show any one of them; the time of a search grows with
+it."""
 FEW_POINTS = 80
-"""Number of points in the comparison of all attitudes."""
+"""Number of points in the comparison of all attitudes. Numerics: a budget of computation."""
 AREA = 7
-"""Row of ``Points.columns`` that holds the areas."""
+"""Row of ``Points.columns`` that holds the areas. Physics: of the order of the columns."""
 
 
 class Points(NamedTuple):

@@ -27,10 +27,10 @@ from rpod_target.mesh.files import surface_m
 from rpod_target.mesh.topology import unit_normals
 
 LONGEST_GAP_S = 0.1
-"""Time from the newest reading beyond which the place of a body is not known: an arm that moves with 0.3 m/s
-and 3 m/s2 is then 15 mm off its extrapolated place."""
+"""Time from the newest reading beyond which the place of a body is not known. Physics: an arm that moves with
+0.3 m/s and 3 m/s2 is then 15 mm off its extrapolated place."""
 KEPT_S = 10.0
-"""Time for which readings are kept; frames are not older."""
+"""Time for which readings are kept. Numerics: memory; frames are not older."""
 
 
 class KnownBodiesError(PoseError):

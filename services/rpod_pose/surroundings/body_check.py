@@ -22,29 +22,38 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 LEAST_RAYS = 20
-"""Least number of rays that should meet a body, and that nothing hides, by which it is checked."""
+"""Least number of rays that should meet a body, and that nothing hides, by which it is checked. Hand: fewer
+rays tell a share to a tenth or worse."""
 LEAST_SHARE = 0.5
-"""Least share of these rays that must end on it: the other half may be dark, or too steep for a range."""
+"""Least share of these rays that must end on it. Hand: the other half may be dark, or too steep for a
+range."""
 MOST_BEYOND = 0.1
-"""Greatest share of its rays with a range that may end beyond a body: none does within its tolerance."""
+"""Greatest share of its rays with a range that may end beyond a body. Hand: none does within its
+tolerance."""
 FARTHEST_STEPS = 8
-"""Greatest offset at which the shape is looked for, in tolerances, along each direction."""
+"""Greatest offset at which the shape is looked for, in tolerances, along each direction. Numerics: a budget;
+the time grows with its square."""
 FOUND_SHARE, ENDS_SHARE = 0.6, 0.4
-"""Least share of the shape that is found at an offset, and how much less of what surrounds it may agree."""
+"""Least share of the shape that is found at an offset, and how much less of what surrounds it may agree.
+Hand: more than by chance, and less around it, so that a wall is not taken for it."""
 THICK = 0.1
-"""Least share of a body's rays farther than its tolerance from its outline, so that it is not thin."""
+"""Least share of a body's rays farther than its tolerance from its outline. Hand: below it the body is
+thin."""
 STEEPEST = 0.2
-"""Least cosine of incidence by which a distance along a ray is turned into one from the surface."""
+"""Least cosine of incidence by which a distance along a ray is turned into one from the surface. Hand: 78
+deg; at larger angles such a distance is mostly noise."""
 LEAST_SEEN = 0.75
-"""Least share of the shape that must be in the image at an offset."""
+"""Least share of the shape that must be in the image at an offset. Hand: a quarter may be outside it."""
 BETTER_SHARE = 0.2
-"""Least share by which more of the shape is found at an offset than at its announced place."""
+"""Least share by which more of the shape is found at an offset than at its announced place. Hand: a smaller
+value reports bodies that are in their place."""
 NEAREST_FIRST = 0.03
-"""Share that an offset of one tolerance must win: along a long limb many offsets are alike."""
+"""Share that an offset of one tolerance must win. Hand: along a long limb many offsets are alike."""
 MOST_INSIDE, MOST_AROUND = 300, 150
-"""Most rays on the shape and around it that are compared at each offset."""
+"""Most rays on the shape and around it that are compared at each offset. Numerics: budgets; a share is then
+known to 3 and 4 %."""
 FRAMES = 3
-"""Number of checked frames in a row after which a body's state changes."""
+"""Number of checked frames in a row after which a body's state changes. Hand: one frame may be disturbed."""
 
 
 class BodyState(StrEnum):

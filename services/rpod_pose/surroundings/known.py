@@ -19,20 +19,22 @@ from rpod_pose.errors import PoseError
 from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_pose.surroundings.methods import Frames
 from rpod_pose.surroundings.separation import Label
+from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.base import load
 from rpod_schemas.config.surroundings import KnownSurroundings, SensorSurroundings
 from rpod_schemas.types import Float32Array
 
 LEAST_SEEN = 0.5
-"""Least share of the frames in which a pixel must have a range to belong to the background."""
+"""Least share of the frames in which a pixel must have a range to belong to the background. Hand: at a place
+where a range is rarer, something else may be in front."""
 SIGMAS = 4.0
-"""Greatest distance from the background, in its standard deviations, at which a range agrees with it."""
+"""Greatest distance from the background, in its standard deviations, at which a range agrees with it.
+Physics: one in 16,000 normal errors is larger."""
 RESOLUTION = 2e-3
-"""Least standard deviation of a range, over the range: clocks and temperature drift."""
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation over the median of absolute values, for normal errors."""
+"""Least standard deviation of a range, over the range. Hand: clocks and temperature drift."""
 MOST_FRAMES = 200
-"""Most frames from which a background is learned, spread evenly over all."""
+"""Most frames from which a background is learned, spread evenly over all. Numerics: memory; a median is then
+known to a tenth of the noise."""
 
 
 class KnownSurroundingsError(PoseError):

@@ -19,30 +19,37 @@ FrameT = TypeVar("FrameT", bound=SensorFrame)
 
 MARGINS = 0.2, 0.06, 0.015
 """Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
-radius. The last is needed only where other things touch the target."""
+radius. The last is needed only where other things touch the target. Hand: wider ones keep more of what
+touches the target, narrower ones cut off some of the target."""
 NARROW = 0.06
-"""Least margin of ranges, over the target's radius."""
+"""Least margin of ranges, over the target's radius. Hand: the second of ``MARGINS``."""
 BIAS_SIGMAS = 2.0
 """Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
-before a pose tells this error."""
+before a pose tells this error. Physics: one in 22 normal errors is larger."""
 SIGMAS = 4.0
-"""Least margin of ranges around a found pose, in their standard deviations."""
+"""Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
+errors is larger."""
 LEAST_VISIBLE = 0.2
-"""Least share of the target that other things must leave visible."""
+"""Least share of the target that other things must leave visible. Hand: a track goes on with little;
+``LEAST_VISIBLE_FIRST`` is for its beginning."""
 MOST_CONTINUED = 0.5
-"""Greatest share of the outline across which the surface goes on: more is a part of a larger thing."""
+"""Greatest share of the outline across which the surface goes on. Hand: more is a part of a larger thing."""
 DETAIL, LEAST_DETAIL = 0.06, 6
-"""Size of a detail that must be explained, over the target's radius, and its least number of rays."""
+"""Size of a detail that must be explained, over the target's radius, and its least number of rays. Hand: a
+smaller detail would be found in noise (decision 57)."""
 LEAST_VISIBLE_FIRST = 0.75
-"""Least share of the target that must be visible for a track to begin: details that are hidden do not tell it
-from its near-symmetries."""
+"""Least share of the target that must be visible for a track to begin. Hand: details that are hidden do not
+tell it from its near-symmetries."""
 LEAST_IN_VIEW = 0.5
-"""Least share of the target in the field of view for a track to begin: other things resemble a small part."""
+"""Least share of the target in the field of view for a track to begin. Hand: other things resemble a small
+part."""
 LEAST_OUTLINE = 0.5
-"""Least share of the target's whole outline at which it is seen to end for a track to begin: an edge of a
-wall or a plate has the shape of a target's side, but it does not go around a half of the target."""
+"""Least share of the target's whole outline at which it is seen to end for a track to begin. Hand: an edge of
+a wall or a plate has the shape of a target's side, but it does not go around a half of the target (decision
+57)."""
 RIVAL = 0.5
-"""Least number of rays on another surface that is searched too, over that on the one with the target."""
+"""Least number of rays on another surface that is searched too, over that on the one with the target. Hand: a
+smaller surface is a part of the first one's object."""
 OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
 MARGIN = "separation_margin"

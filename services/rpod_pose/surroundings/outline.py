@@ -17,9 +17,11 @@ from rpod_schemas.types import Camera
 from rpod_target import Target
 
 _SIDE = 64
-"""Rows and columns of the image in which the whole outline is seen."""
+"""Rows and columns of the image in which the whole outline is seen. Numerics: a budget; a share of the
+outline is then known to about 1 %."""
 _SMOOTH = 2.0
-"""Standard deviation, rays, of the smoothing that gives the outline's direction."""
+"""Standard deviation, rays, of the smoothing that gives the outline's direction. Numerics: the steps of a
+rasterised line are one ray wide."""
 
 
 def seen_outline(

@@ -20,18 +20,21 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 BALL = 1.6
-"""Radius, in radii of the target, around the median of its visible points that contains all of them: no point
-is farther from the origin than one radius, and the median is one of a convex hull's inner points."""
+"""Radius, in radii of the target, around the median of its visible points that contains all of them. Hand: no
+point is farther from the origin than one radius, and the median is one of a convex hull's inner points."""
 ELSEWHERE_SHARE, ELSEWHERE = 0.02, 5
-"""Share and number of a frame's ranges outside this ball up to which they are taken for errors."""
+"""Share and number of a frame's ranges outside this ball up to which they are taken for errors. Hand: stray
+and mixed pixels are fewer, another body has more."""
 BESIDE = 0.1
-"""Distance outside the target's outline at which its surface should not go on, over its radius."""
+"""Distance outside the target's outline at which its surface should not go on, over its radius. Hand: past
+the mixed pixels of the outline."""
 AROUND = 1.2
-"""Radius, in radii of the target, within which a thing that extends beyond the target's reach is seen."""
+"""Radius, in radii of the target, within which a thing that extends beyond the target's reach is seen. Hand:
+what only touches the reach, with the noise of its ranges, is not counted."""
 NEIGHBOURS = np.ones((3, 3), np.uint8)
-"""A ray and those around it."""
+"""A ray and those around it. Physics: 3 x 3."""
 MOST_RAYS = 24
-"""Most rays by which an image is widened or narrowed."""
+"""Most rays by which an image is widened or narrowed. Numerics: a budget; the time grows with its square."""
 
 
 class Label(IntEnum):

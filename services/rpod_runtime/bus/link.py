@@ -19,7 +19,7 @@ from rpod_runtime.health import HealthBook
 log = logging.getLogger(__name__)
 
 MOST_OUTAGES = 1000
-"""Largest number of outages that are remembered; of more the earliest is extended over the next."""
+"""Largest number of outages that are remembered; beyond it, the earliest two become one."""
 
 
 @dataclass(frozen=True)

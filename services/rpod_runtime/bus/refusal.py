@@ -25,7 +25,7 @@ _TIMEOUT_S = 0.4
 _REMIND_S = 60.0
 _RENEW = "'rpod pki renew' replaces it"
 _REASONS = (
-    ("wrong.version.number|record layer", "it speaks plain TCP, so bus.connect has to begin with tcp/"),
+    ("wrong.version.number|record layer", "it uses plain TCP, so bus.connect has to begin with tcp/"),
     ("unknown ca|decrypt error|bad certificate", "it does not trust the authority of this certificate"),
     ("certificate required", "it wants a certificate; give bus.credentials"),
     ("alert certificate expired", f"the certificate of this client has expired; {_RENEW}"),
@@ -35,7 +35,7 @@ _REASONS = (
 )
 """Texts of OpenSSL, as patterns, and what they mean to a client."""
 _KINDS = (
-    ("InvalidContentType|corrupt message", "it speaks no TLS; clients need tls/... and credentials"),
+    ("InvalidContentType|corrupt message", "it uses no TLS; clients need tls/... and credentials"),
     ("certificate expired|Expired", f"its certificate has expired; {_RENEW}"),
     ("UnknownIssuer|BadSignature|BadEncoding", "its certificate is of another authority"),
     ("no certificates|NoCertificatesPresented|CertificateRequired", "it shows no certificate"),
@@ -79,7 +79,7 @@ def _refusal(bus: BusConfig, link: socket.socket, host: str) -> str:
     context.load_cert_chain(bus.credentials / IDENTITY)
     try:
         with context.wrap_socket(link, server_hostname=host) as secured, suppress(TimeoutError):
-            secured.recv(1)  # in TLS 1.3 the server judges the client's certificate after the handshake
+            secured.recv(1)  # in TLS 1.3 the server checks the client's certificate after the handshake
     except ssl.SSLError as error:
         text = str(error).lower()
         found = (meaning for pattern, meaning in _REASONS if re.search(pattern, text.replace("_", " ")))

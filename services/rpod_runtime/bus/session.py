@@ -31,12 +31,12 @@ _LARGEST_BYTES = 1 << 28
 within the ICD's bounds. Zenoh's default lets a peer take 1 GiB of each of its receivers."""
 _RETRY_S = 0.25
 _LEAST_TRIES = 3
-"""Number of tries before a client gives up: a process that stood still for the time has had one."""
+"""Least number of tries before a client gives up, even after the time: the process may have stood still."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """How often a client tries to reach a router that has gone: it is back within half a second of the router."""
 _HANDSHAKE_MS, _PENDING = 1000, 4000
-"""Longest time for a connection to say who it is, and number of connections that may be about to: so that
-idle ones keep nobody out."""
+"""Longest time for a new connection to identify itself, and largest number of connections that have not done
+so yet: idle ones keep nobody out."""
 _REMIND_S = 10.0
 _STARTS = 1024
 """Number of identities that a configured one stands for: it, followed by three hexadecimal digits."""

@@ -39,7 +39,7 @@ class TooManyKeysError(MessageRejectedError):
     def __init__(self, key: str) -> None:
         super().__init__(
             Reason.TOO_MANY,
-            f"{key}: messages of {MOST_KEYS} keys at most are received; stop who publishes so many",
+            f"{key}: messages of {MOST_KEYS} keys at most are received; stop the one that publishes so many",
         )
 
 

@@ -43,7 +43,7 @@ class Peer:
 
 
 UNKNOWN_PEER = Peer(b"")
-"""Stands for the publishers of messages without one, as in tests and logs."""
+"""The publisher of messages that name none, as in tests and logs."""
 
 
 class SecondPublisherError(MessageRejectedError):

@@ -91,7 +91,7 @@ class Delivery:
         """Count a rejected message; log the first of its kind, and then one a minute."""
         if self._health.reject(topic, error):
             log.warning(
-                "rejected a message on %s: %s; further ones are counted in diagnostics, and told each minute",
+                "rejected a message on %s: %s; further ones are counted, and logged once a minute",
                 topic,
                 error,
             )
@@ -120,8 +120,8 @@ class Delivery:
         if not self._forgets:
             self._forgets = True
             log.warning(
-                "more than %d publishers were heard; those silent longest are forgotten, so that the next "
-                "message of one of them counts as its first",
+                "there were more than %d publishers; the longest silent are forgotten: the next message "
+                "of each counts as its first",
                 MOST_PUBLICATIONS,
             )
         self._health.put("publishers/forgotten", self._account.forgotten)

@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from rpod_security.credentials import ExpiryWatch
 
 _RATES_HZ = {"status": 1000.0}
-"""Largest rate at which one asker is answered, Hz, by verb; lockstep asks for ``status`` very often."""
+"""Largest rate at which one client is answered, Hz, by verb; lockstep queries ``status`` very often."""
 _RATE_HZ = 20.0
 """The same for all other verbs: commands, which people and supervisors give."""
 _BURST_S = 2.0
-"""Time for which an asker may save up what it did not ask."""
+"""Time for which a client may save requests that it did not make, for a burst."""
 _LONGEST_REQUEST = 1 << 16
 """Largest request, bytes; a reset with a covariance has 2,000."""
 

@@ -36,7 +36,7 @@ class Form(Generic[RequestT]):
 
 
 def trigger(request: Callable[[], RequestT]) -> Form[RequestT]:
-    """Return the form of a std_srvs/Trigger; ``request`` makes what a call without arguments stands for."""
+    """Return the form of a std_srvs/Trigger; ``request`` returns the query's request of such a call."""
     return Form(TRIGGER, lambda _: request())
 
 

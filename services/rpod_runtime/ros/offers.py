@@ -1,4 +1,4 @@
-"""Tells of publishers that offer less than a latched topic needs."""
+"""Warns of publishers whose quality of service is less than a latched topic needs."""
 
 from collections.abc import Callable
 

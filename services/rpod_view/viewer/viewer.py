@@ -96,7 +96,7 @@ def _gate(asked: ViewConfig, token_file: Path, here: ViewConfig) -> Iterator[str
             address = stack.enter_context(gate)
         except OSError as error:
             raise _cannot_listen(str(asked.bind), asked.web_port, error) from error
-        yield f"{address}, for who has the token in {token_file}"
+        yield f"{address}, with the token in {token_file}"
 
 
 def _cannot_listen(host: str, port: int, error: OSError) -> ViewerFailedError:

@@ -146,7 +146,7 @@ class ReorderedStamps(Injection):
 
 
 class StampStart(Injection):
-    """Stamps of the start of the exposure or scan, whose duration the sensor's info tells."""
+    """Stamps of the start of the exposure or scan, whose duration the sensor's info states."""
 
     fault = "stamp_start"
 

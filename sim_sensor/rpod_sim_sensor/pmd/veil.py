@@ -2,7 +2,8 @@
 
 Both take a share of each pixel's light and spread it over the surrounding pixels. Glare keeps its phase.
 Light that was reflected twice arrives later: the phase of its correlation changes by 2 pi (2 f / c) d for a
-path that is longer by d. The third harmonic, a few percent, is changed by the same phase as the first.
+path that is longer by d. The third harmonic, a few percent of the light, gets the same phase change as the
+first.
 """
 
 import numpy as np

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_target.errors import TargetError
 from rpod_target.build.interior import Bodies, Body
 from rpod_target.build.mass import mass_properties
-from rpod_target.mesh.files import MeshFile
-from rpod_target.parameters import LARGEST_M, SMALLEST_M, MeshParameters, TargetParameters, usual_size
 from rpod_target.build.pieces import NUDGE, Piece, Sides, outward, pieces, varied
 from rpod_target.build.sampling import sample_evenly
+from rpod_target.errors import TargetError
+from rpod_target.mesh.files import MeshFile
 from rpod_target.mesh.topology import creases, unit_normals
+from rpod_target.parameters import LARGEST_M, SMALLEST_M, MeshParameters, TargetParameters, usual_size
 from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 

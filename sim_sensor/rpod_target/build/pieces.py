@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.errors import TargetError
 from rpod_target.build.interior import Body
+from rpod_target.build.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
+from rpod_target.errors import TargetError
 from rpod_target.mesh.files import MeshFile, read_mesh_file
 from rpod_target.mesh.repair import RepairedMesh, repair
+from rpod_target.mesh.simplification import coarser, simplified
+from rpod_target.mesh.topology import Indices, areas_m2, separate_surfaces
 from rpod_target.parameters import (
     BoxParameters,
     CylinderParameters,
@@ -25,9 +28,6 @@ from rpod_target.parameters import (
     PrismParameters,
     TargetParameters,
 )
-from rpod_target.mesh.simplification import coarser, simplified
-from rpod_target.build.surfaces import Surface, box_surface, cylinder_surface, frustum_surface, prism_surface
-from rpod_target.mesh.topology import Indices, separate_surfaces
 from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 
@@ -38,7 +38,10 @@ _MOST_BODIES = 100
 _SEEN = 0.5 / 128
 """Share of the directions that see a side, above which it is a surface of the target: one direction."""
 _CLEARLY = 1.2
-"""Ratio of what is seen of a patch's two sides, above which the patch faces the wrong way."""
+"""Visibility of a patch's back over that of its front, above which the patch faces the wrong way."""
+
+_ERROR = 1e-3
+"""Largest error of the simplification, over the longest side of the file's bounding box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,10 +225,6 @@ def varied(found: Sequence[Piece], variation: Variation) -> list[Piece]:
     return result
 
 
-_ERROR = 1e-3
-"""Largest error of the simplification, over the longest side of the file's bounding box."""
-
-
 def _material_names(
     file: MeshFile, origin: Indices, part: Indices, parts: Mapping[int, MeshParameters]
 ) -> Iterator[str]:
@@ -258,15 +257,9 @@ def outward(piece: Piece, sky: Sky, *, nudge_m: float) -> tuple[Piece, Sides]:
     if not len(loose):
         return piece, Sides(seen, back)
     front_share, back_share = sky.sides(piece.triangles_m[loose], nudge_m=nudge_m)
-    area = np.linalg.norm(
-        np.cross(
-            piece.triangles_m[loose, 1] - piece.triangles_m[loose, 0],
-            piece.triangles_m[loose, 2] - piece.triangles_m[loose, 0],
-        ),
-        axis=1,
-    )
+    area_m2 = areas_m2(piece.triangles_m[loose])
     patch = piece.patch[loose]
-    wrong = np.bincount(patch, area * back_share) > _CLEARLY * np.bincount(patch, area * front_share)
+    wrong = np.bincount(patch, area_m2 * back_share) > _CLEARLY * np.bincount(patch, area_m2 * front_share)
     turn = wrong[patch]
     triangles_m = piece.triangles_m.copy()
     triangles_m[loose[turn]] = triangles_m[loose[turn]][:, ::-1]

@@ -220,7 +220,7 @@ def _engine(d: UpperStage) -> list[Component]:
 
 
 def _outside(d: UpperStage) -> list[Component]:
-    """Return what tells the attitudes about x apart: tunnel, lines, thruster pods, hatch."""
+    """Return the details that distinguish the attitudes about x: tunnel, lines, thruster pods, hatch."""
     half = 0.5 * d.barrel
     place = d.oxygen_place
 

@@ -129,7 +129,7 @@ def _read(cad: Path, told: list[str]) -> MeshFile:
             elif cad.suffix.lower() == ".obj":
                 told.append(
                     f"the colours of its materials are not known: {name!r} is not beside {cad.name}; if you "
-                    "have it, copy it there and write the target anew"
+                    "have it, copy it there and write the target again"
                 )
         return read_mesh_file(cad.name, content, beside)
     except OSError as error:

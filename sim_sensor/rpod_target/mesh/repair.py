@@ -5,15 +5,15 @@ The order, and what each step is for:
 1. Corners closer than a millionth of the size are one corner; those of open edges, closer than 1e-4 of
    it.
 2. Triangles with two equal corners are left out: no surface is lost.
-3. A triangle that stands several times is kept once. Of two that face opposite ways both are kept where the
-   surface is closed with them, else one.
+3. A triangle that stands several times is kept once. Two that face opposite ways are both kept if the surface
+   is closed with them; otherwise one is.
 4. A triangle whose three corners lie on a line is removed by splitting its neighbour there, so that the
    surface stays as closed as it was.
 5. Neighbours that run in opposite senses are turned alike, by patches whose edges have two triangles.
 6. A closed surface that faces inwards is turned outwards.
 
 No triangle is added and no hole is filled: what sensors see stays what the file shows. A surface that is
-still open after this is loose; ``rpod_target.visibility`` turns it outwards and tells what is inside.
+still open after this is called loose; ``rpod_target.visibility`` turns it outwards and finds what is inside.
 """
 
 from dataclasses import dataclass, replace

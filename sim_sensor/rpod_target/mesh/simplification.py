@@ -23,7 +23,7 @@ _PLACES = 200_000
 def simplified(
     triangles: FloatArray, *, largest_error: float, steps: Sequence[int] = _STEPS
 ) -> tuple[FloatArray, Indices, tuple[int, int, float] | None]:
-    """Return triangles that stand for others, within an error.
+    """Return fewer triangles in place of others, within an error.
 
     Args:
         triangles: corners, shape (T, 3, 3).
@@ -48,10 +48,10 @@ def simplified(
 
 
 def coarser(triangles: FloatArray, *, error: float) -> tuple[FloatArray, Indices]:
-    """Return as few triangles as stand for others with about an error, in their unit, and what each is for.
+    """Return as few triangles as possible in place of others, with about a given error, in their unit.
 
     Returns:
-        Triangles, shape (S, 3, 3), and for each the index of the triangle that it stands for, shape (S,).
+        Triangles, shape (S, 3, 3), and for each the index of the triangle that it replaces, shape (S,).
     """
     size = float(np.ptp(triangles, axis=(0, 1)).max())
     result = _collapsed(triangles, count=4, error=error / size)

@@ -1,7 +1,7 @@
-"""Why a CAD file cannot be used, where its bytes say more than its reader does.
+"""Reasons why a CAD file cannot be used, from its bytes, where its reader gives none.
 
 The reader accepts a file that was cut off, has another format than its name says or is compressed as an empty
-mesh, or as one whose corners are all at the origin. So the bytes are looked at before.
+mesh, or as one whose corners are all at the origin. So the bytes are examined first.
 """
 
 import json
@@ -49,7 +49,7 @@ def without_faces(geometries: list[Any]) -> str:
 
 
 def _format(content: bytes) -> str:
-    """Return the format that the first bytes or the length are proof of, or an empty text."""
+    """Return the format that the first bytes or the length prove, or an empty text."""
     for signature, name in _SIGNATURES.items():
         if content.startswith(signature):
             return name

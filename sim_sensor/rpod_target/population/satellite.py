@@ -149,7 +149,7 @@ def _symmetry(body: MainBody, arrays: equipment.Arrays, *, plain: bool, along: f
 
 
 def _axial(body: MainBody, generator: Generator, *, order: int) -> list[Component]:
-    """Return equipment that keeps a symmetry about x of an order, and tells the two ends apart."""
+    """Return equipment that keeps a symmetry about x of an order, and distinguishes the two ends."""
     sections = order * max(1, round(24 / order))
     found = [equipment.nozzle(body, generator, sections=sections)]
     if generator.random() < 0.6:

@@ -1,4 +1,4 @@
-"""Searches in vain rest, and begin again with the first frame that shows something else."""
+"""Unsuccessful searches are limited, and begin again with the first frame that shows something else."""
 
 import numpy as np
 import pytest

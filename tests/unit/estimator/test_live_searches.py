@@ -1,4 +1,4 @@
-"""Searches beside a live estimator: one a sensor, cancelled when nobody waits, resting when in vain."""
+"""Searches beside a live estimator: one a sensor, cancelled when nobody waits, limited when unsuccessful."""
 
 import numpy as np
 import pytest

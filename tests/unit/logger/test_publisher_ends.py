@@ -62,13 +62,13 @@ class Stage:
         self.ends.confirm([status], now_s=self.now_s)
 
     def reasons(self, after_s: float = 2 * GRACE_S) -> tuple[str, ...]:
-        self.judge_for(after_s)
+        self.decide_for(after_s)
         return self.ends.take(0).reasons
 
-    def judge_for(self, duration_s: float) -> None:
-        """Judge four times a second from now on, as the logger does."""
+    def decide_for(self, duration_s: float) -> None:
+        """Decide four times a second from now on, as the logger does."""
         for turn in range(round(4 * duration_s) + 1):
-            self.ends.judge(self.now_s + turn / 4)
+            self.ends.decide(self.now_s + turn / 4)
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_who_ends_otherwise_is_named(stage, end: Callable[[Stage], None], says):
     assert stage.reasons() == (), "told once"
 
 
-def test_a_last_word_may_come_after_the_token_is_gone_but_not_after_the_judgement(stage):
+def test_a_last_word_may_come_after_the_token_is_gone_but_not_after_the_decision(stage):
     stage.leave()
     stage.beat(clock=1, closing=True)
     assert stage.reasons() == ()
@@ -156,7 +156,7 @@ def test_who_vanished_with_the_bus_has_time_to_come_back(stage):
     stage.link.note("r", opened=False, now_ns=round(stage.now_s * NS))
     stage.leave()
     assert not stage.ends.is_open(stage.now_s), "nobody is waited for while the bus is lost"
-    stage.ends.judge(stage.now_s + 100.0)
+    stage.ends.decide(stage.now_s + 100.0)
     stage.link.note("q", opened=True, now_ns=round((stage.now_s + 3.0) * NS))
     stage.now_s += 100.0
     (lost,) = stage.reasons(1.0)
@@ -172,13 +172,13 @@ def test_who_comes_back_after_the_bus_was_lost_has_not_ended(stage):
     stage.leave()
     stage.link.note("r", opened=True, now_ns=round((stage.now_s + 1.0) * NS))
     stage.begin()
-    stage.ends.judge(stage.now_s + 100.0)
+    stage.ends.decide(stage.now_s + 100.0)
     assert len(stage.ends.take(0).reasons) == 1
     assert stage.ends.take(round((stage.now_s + 2.0) * NS)).reasons == (), "of a file begun after it"
 
 
 def test_a_process_that_stood_still_waits_for_the_messages_of_that_time(stage):
-    stage.ends.judge(stage.now_s)
+    stage.ends.decide(stage.now_s)
     stage.leave()
     stage.now_s += 30.0
     assert stage.reasons(after_s=0.5) == (), "the last messages came while it stood still, and wait"
@@ -191,7 +191,7 @@ def test_other_software_is_told_and_is_no_reason(stage):
     stage.begin("foreign")
     stage.clock(7, session="foreign")
     stage.leave("foreign")
-    stage.judge_for(2 * GRACE_S)
+    stage.decide_for(2 * GRACE_S)
     endings = stage.ends.take(0)
     assert endings.reasons == ()
     assert "clock: a publisher of session foreign ended" in endings.unconfirmed[0]

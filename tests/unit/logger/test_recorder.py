@@ -175,8 +175,8 @@ def test_a_large_file_gives_way_to_the_next_and_nothing_is_lost_between(desk, ar
     assert [number for path in paths for _, number in read(path)] == list(range(1, 201))
     assert all(path.stat().st_size < 90_000 for path in paths)
     said = [completeness(path) for path in paths]
-    assert all(statement.complete for statement in said)
-    assert [statement.continues for statement in said] == [None, *(path.name for path in paths[:-1])]
+    assert all(record.complete for record in said)
+    assert [record.continues for record in said] == [None, *(path.name for path in paths[:-1])]
 
 
 def test_an_old_file_gives_way_to_the_next(desk, arrive, tmp_path):

@@ -78,7 +78,7 @@ def broken(**changes):
         (
             plain(np.full((40, 60), np.nan, np.float32), "32FC1"),
             None,
-            r"no finite pixel .*; look at the sensor",
+            r"no finite pixel .*; check the sensor",
         ),
     ],
 )

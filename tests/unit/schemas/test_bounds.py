@@ -310,3 +310,11 @@ def test_the_icd_names_every_limit():
         assert f"| {name} | {bound} | {bound.reason} |" in text
     table = text.split("| field | limits | why |")[1].split("\n\n")[0]
     assert table.count("\n|") - 1 == len(BOUNDS)
+
+
+@pytest.mark.parametrize(("hertz", "farthest_m"), [((), np.inf), ((20e6,), 7.495), ((80e6, 20e6), 74.95)])
+def test_a_camera_measures_as_far_as_its_frequencies_let_it(
+    hertz: tuple[float, ...], farthest_m: float
+) -> None:
+    info = pmd_info(modulation_frequency_hz=np.array(hertz))
+    assert info.farthest_m == pytest.approx(farthest_m, rel=1e-3)

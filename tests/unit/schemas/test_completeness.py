@@ -9,14 +9,14 @@ def record(**counts: TopicCount) -> dict[str, str]:
     return {f"/{topic}": count.model_dump_json() for topic, count in counts.items()}
 
 
-def test_a_statement_comes_back_from_its_record():
-    statement = Completeness(
+def test_a_state_comes_back_from_its_record():
+    state = Completeness(
         complete=False, reasons=("/tf: 2 missed on the bus",), continues="a.mcap", clock_jumps_s=(-37.0,)
     )
-    assert Completeness.of_record(statement.record()) == statement
+    assert Completeness.of_record(state.record()) == state
 
 
-def test_a_file_without_a_statement_was_not_closed_and_is_not_complete():
+def test_a_file_without_a_record_was_not_closed_and_is_not_complete():
     said = check_completeness({}, {}, {"/tf": 3})
     assert said == Completeness(complete=False, reasons=("the file was not closed",))
 
@@ -30,7 +30,7 @@ def test_a_file_without_a_statement_was_not_closed_and_is_not_complete():
         (TopicCount(received=5, written=5, repeated=1), 5, "/tf: 5 in the file, 6 by its account"),
     ],
 )
-def test_a_statement_that_the_account_or_the_file_contradicts_is_not_believed(count, found, reason):
+def test_a_record_that_the_account_or_the_file_contradicts_is_not_believed(count, found, reason):
     said = check_completeness(Completeness(complete=True).record(), record(tf=count), {"/tf": found})
     assert said == Completeness(complete=False, reasons=(reason,))
 

@@ -1,9 +1,11 @@
 """How much of the estimator's configuration is public, and where the values of the rest come from."""
 
+import ast
 import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -18,6 +20,7 @@ from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance_of
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
+from rpod_sim_sensor.worlds import world_of
 
 MOST_PUBLIC_FIELDS = 82
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
@@ -25,6 +28,13 @@ MOST_DECISIONS = 60
 """For a user: the same, but what a calibration writes into one file counts as one field."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
+MOST_CONSTANTS_BY_HAND = 119
+"""The same for numeric constants of pose estimation."""
+POSE = Path(__file__).parents[3] / "services" / "rpod_pose"
+SOURCE = re.compile(r"\b(Paper|Physics|Campaign|Numerics|Hand):\s+\S")
+"""What a constant's docstring has before its reason: a source of ``Provenance``; ``Hand`` is the last one."""
+NO_CHOICE = r"slice|np\.(zeros|empty)|[A-Z]"
+"""Functions and records whose numbers are sizes, places, or fields that say what they are."""
 LIMITS = Path(__file__).parents[3] / "docs" / "limits"
 """Results of the campaign that derives limits."""
 FEWEST_WORDS = 4
@@ -57,6 +67,28 @@ def tuning_values(model: type[BaseModel]) -> list[TuningValue]:
 def sources(values: list[TuningValue]) -> Counter[str]:
     """Return the number of values of each source; those without one count as ``none``."""
     return Counter(value.provenance.source if value.provenance else "none" for value in values)
+
+
+def constants(source: str) -> dict[str, str]:
+    """Return the docstrings of a module's numeric constants by name.
+
+    Numbers in a call of ``NO_CHOICE`` do not count, nor does 0 or 1.
+    """
+    found = {}
+    for node, after in pairwise([*ast.parse(source).body, ast.Pass()]):
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value and _has_choice(node.value):
+            said = after.value if isinstance(after, ast.Expr) else None
+            name = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
+            found[name] = str(said.value) if isinstance(said, ast.Constant) else ""
+    return found
+
+
+def _has_choice(node: ast.AST) -> bool:
+    if isinstance(node, ast.Call) and re.match(NO_CHOICE, ast.unparse(node.func)):
+        return False
+    if isinstance(node, ast.Constant):
+        return type(node.value) in {int, float} and node.value not in {0, 1}
+    return any(_has_choice(child) for child in ast.iter_child_nodes(node))
 
 
 def _leaves(
@@ -168,12 +200,36 @@ def test_every_tuning_value_says_where_it_comes_from(record_property: Callable[[
     assert counts["hand, mock-up"] <= MOST_BY_HAND
 
 
+def test_every_constant_of_pose_estimation_says_why_it_has_its_value(
+    record_property: Callable[[str, object], None],
+) -> None:
+    files = {str(file.relative_to(POSE)): file.read_text("utf-8") for file in sorted(POSE.rglob("*.py"))}
+    told = {
+        f"{file}: {name}": SOURCE.findall(text)
+        for file, content in files.items()
+        for name, text in constants(content).items()
+    }
+    assert not [name for name, found in told.items() if not found]
+    counts = Counter(source for found in told.values() for source in found)
+    listed = ", ".join(f"{count} {source}" for source, count in counts.most_common())
+    record_property("measured", f"{len(told)} numeric constants: {listed}")
+    assert counts["Hand"] <= MOST_CONSTANTS_BY_HAND
+
+
+def test_a_constant_without_a_reason_is_found() -> None:
+    source = 'A, B = 2, np.arange(3)\n"""Two. Hand: half of four."""\nC: float = -0.5\nD = np.zeros(1)\n'
+    found = constants(source)
+    assert set(found) == {"(A, B)", "C"}
+    assert [SOURCE.findall(text) for text in found.values()] == [["Hand"], []]
+
+
 @pytest.mark.parametrize("model", [LidarInput, PmdInput])
 def test_a_derived_limit_is_the_one_of_the_campaign_that_it_names(model: type[LidarInput | PmdInput]) -> None:
     sensor = model()
     told = json.loads((LIMITS / f"{sensor.kind}.json").read_text())["totals"]
     fields = limits_in(sensor.tracking)
     assert {each.path for each in fields} == set(told["limits"])
+    assert not [name for name in told["worlds"] if world_of(name).held_out], "no limit may be chosen by these"
     for each in fields:
         assert each.provenance is not None
         if each.provenance.source == "campaign":

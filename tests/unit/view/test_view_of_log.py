@@ -42,10 +42,10 @@ def covariance():
 def estimated(number, _time_s):
     mode = Mode.ACQUIRING if number < 3 else Mode.TRACKING
     reason = "cost: too high" if number == 8 else ""
-    return Frame(mode, ATTITUDE_RAD, POSITION_M, covariance(), reason=reason, integrity=judged(number))
+    return Frame(mode, ATTITUDE_RAD, POSITION_M, covariance(), reason=reason, integrity=levels(number))
 
 
-def judged(number):
+def levels(number):
     state = IntegrityState.UNAVAILABLE if number < 6 else IntegrityState.CAUTION
     level_m = float("nan") if number < 3 else 0.4 if number < 6 else 0.1
     return {

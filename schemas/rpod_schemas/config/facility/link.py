@@ -28,8 +28,8 @@ class LinkConfig(Config):
     (``queue/size``)."""
     wait_fragments_s: Positive = 0.05
     """Longest time that a large message which was begun waits for room, s
-    (``congestion_control/drop/max_wait_before_drop_fragments``); then it is dropped, and what was sent of it
-    was in vain."""
+    (``congestion_control/drop/max_wait_before_drop_fragments``); then it is dropped, although part of it was
+    sent."""
     newest_large: bool = False
     """Whether a large message waits for room however long, while newer ones of its priority are dropped
     (``qos/network``, congestion control ``block_first``). A receiver that stands still then holds up the

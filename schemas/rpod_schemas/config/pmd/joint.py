@@ -25,6 +25,10 @@ CHOICE = Provenance(
     "numerics", "it chooses the start that is tried first; the next one is tried where its result is refused"
 )
 """Provenance of what decides with how many steps the tracker begins."""
+NEIGHBOURS = Provenance(
+    "hand, mock-up", "neighbours share their errors; the number is chosen on emulated frames"
+)
+"""Provenance of numbers of residuals that count as independent."""
 
 
 class RangeErrorConfig(Tuning):
@@ -50,10 +54,7 @@ class JointDepthConfig(Tuning):
     """Least scale, in standard deviations of a range by the frame's noise and ``noise_m``."""
     noise_m: Annotated[Positive, OF_CAMERA] = 0.006
     """Least standard deviation of a residual, m; the spread of the inliers if that is larger."""
-    effective_points: Annotated[
-        Count,
-        Provenance("hand, mock-up", "neighbours share their errors; the number is chosen on emulated frames"),
-    ] = 400
+    effective_points: Annotated[Count, NEIGHBOURS] = 400
     """Largest number of residuals that count as independent: the errors of neighbours are correlated."""
     raw: Annotated[
         RangeErrorConfig,
@@ -88,10 +89,7 @@ class JointEdgeConfig(Tuning):
     """Least change of the amplitude over two pixels at an edge, as a share of the median amplitude."""
     sigma_px: Annotated[Positive, BY_HAND] = 0.3
     """Least standard deviation of an edge's position, px; the spread of the inliers if that is larger."""
-    effective_edges: Annotated[
-        Count,
-        Provenance("hand, mock-up", "neighbours share their errors; the number is chosen on emulated frames"),
-    ] = 300
+    effective_edges: Annotated[Count, NEIGHBOURS] = 300
     """Largest number of samples that count as independent: the errors of neighbours are correlated."""
 
 

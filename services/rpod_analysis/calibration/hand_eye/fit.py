@@ -36,7 +36,7 @@ from rpod_analysis.calibration.hand_eye.start import (
     relative_motions,
 )
 from rpod_analysis.errors import CalibrationError
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 
 _ROUNDS = 20
 _TUKEY = 7.0
@@ -167,7 +167,7 @@ def _whitening(problem: Problem, state: State) -> FloatArray:
     covariance = problem.covariance(state)
     if not (np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all():
         residuals = np.abs(problem.residuals(state))
-        spread = [1.4826 * float(np.median(part)) for part in (residuals[:, :3], residuals[:, 3:])]
+        spread = [MAD_TO_SIGMA * float(np.median(part)) for part in (residuals[:, :3], residuals[:, 3:])]
         covariance = np.tile(
             np.diag(np.repeat(np.square(np.maximum(spread, 1e-9)), 3)), (len(covariance), 1, 1)
         )

@@ -22,8 +22,8 @@ from rpod_schemas.config.source import FORWARD_BORESIGHT, SourceConfig
 from rpod_schemas.poses import pose_of
 
 AIM_M, AIM_DEG, AIM_S = 0.3e-3, 0.02, 0.2e-3
-"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; where they are not,
-the missing motion is told."""
+"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; where they are larger,
+the text names the missing motion."""
 _CONFOUNDED = 0.9
 _LASTING = 0.5
 """Correlation of successive blocks above which the stated deviations are too small."""
@@ -97,7 +97,7 @@ def clock_findings(found: HandEye) -> Iterator[str]:
 
 
 def warnings_of(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
-    """Yield how well sensor and truth agree, which values are uncertain, and which motion would tell them."""
+    """Yield how well sensor and truth agree, which values are uncertain, and which motion is missing."""
     yield (
         f"residuals     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.3f} deg (RMS of "
         f"{found.pairs - found.outliers} pairs; {found.outliers} outliers, {found.unused} poses without "
@@ -107,8 +107,8 @@ def warnings_of(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
     yield from _motion_missing(found)
     if abs(found.depth_correlation) > _CONFOUNDED:
         yield (
-            "note: depth offset and mount along the boresight are told apart by what is known of the depth "
-            "only (--depth-sigma-mm); calibrate the depth first, or measure one distance"
+            "note: depth offset and mount along the boresight are separated only by what is known of the "
+            "depth (--depth-sigma-mm); calibrate the depth first, or measure one distance"
         )
     if found.scale > _MISFIT:
         yield (
@@ -142,13 +142,13 @@ def _motion_missing(found: HandEye) -> Iterator[str]:
     if sigma_m > AIM_M:
         yield (
             f"note: the mount's position is known worst along ({_vector(direction, 2)}) of the chaser, sigma "
-            f"{1e3 * sigma_m:.2f} mm: larger turns about axes across it would tell it, or a longer log"
+            f"{1e3 * sigma_m:.2f} mm: larger turns about axes across it would determine it, or a longer log"
         )
     sigma_rad, axis = found.worst(MOUNT_RAD)
     if np.degrees(sigma_rad) > AIM_DEG:
         yield (
             f"note: the mount's attitude is known worst about ({_vector(axis, 2)}) of the chaser, sigma "
-            f"{np.degrees(sigma_rad):.3f} deg: larger turns about axes across it would tell it, or a "
+            f"{np.degrees(sigma_rad):.3f} deg: larger turns about axes across it would determine it, or a "
             "longer log"
         )
     if found.offset_sigma_s > AIM_S:
@@ -156,7 +156,7 @@ def _motion_missing(found: HandEye) -> Iterator[str]:
             f"note: the clock's offset has sigma {1e3 * found.offset_sigma_s:.2f} ms: the target turned at "
             f"{np.degrees(found.rate_rad_s):.2g} deg/s and moved at {1e3 * found.speed_m_s:.3g} mm/s "
             "(RMS). Faster "
-            "turns and changes of direction would tell it"
+            "turns and changes of direction would determine it"
         )
 
 

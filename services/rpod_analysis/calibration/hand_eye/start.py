@@ -1,6 +1,6 @@
 """First values of a hand-eye calibration: the clock by the rates of rotation, then mount and holder.
 
-Rates of rotation are the same in both series, whatever mount and holder are, so their correlation tells the
+Rates of rotation are the same in both series, whatever mount and holder are, so their correlation gives the
 clock's offset. Relative motions C X = X A then give the mount: rotation vectors by Park and Martin (IEEE
 Trans. Robotics 10(5), 1994), here by ``Rotation.align_vectors``, and the position by linear least squares.
 """
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_analysis.calibration.hand_eye.poses import Interpolated, StampedPoses
 from rpod_analysis.errors import CalibrationError
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 
 _GRID_S = 0.02
 _RATE_OVER_S = 0.4
@@ -104,7 +104,7 @@ def relative_motions(
     A, C = _between(*measured, first, second), _between(*truth, first, second)
     a, c = (Rotation.from_matrix(motion[0]).as_rotvec() for motion in (A, C))
     differs = np.linalg.norm(a, axis=1) - np.linalg.norm(c, axis=1)
-    noise = 1.4826 * float(np.median(np.abs(differs)))
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(differs)))
     kept = np.abs(differs) <= _OUTLIER * max(noise, 1e-9)
     kept &= np.linalg.norm(c, axis=1) < np.radians(170.0)  # at half a turn the axis has no sign
     if not kept.any():

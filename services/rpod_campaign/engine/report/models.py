@@ -1,4 +1,4 @@
-"""The section of a report that tells which models stand for which targets, where they differ."""
+"""The section of a report that names the model used for each target, where the two differ."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -55,7 +55,7 @@ def images_of(chunks: dict[int, Chunk]) -> IfmImages:
     info, problem = tof_info_of(chunks[TOF_INFO].data if TOF_INFO in chunks else b"")
     metres = distance.metadata.get("DistanceResolution", info and info.distance_resolution_m)
     if not metres:
-        raise RecordingError("buffer", "neither metadata nor TOF_INFO tell the resolution of the distance")
+        raise RecordingError("buffer", "neither metadata nor TOF_INFO give the resolution of the distance")
     noise = _scaled(chunks.get(DISTANCE_NOISE), metres)
     confidence = chunks[CONFIDENCE].image() if CONFIDENCE in chunks else None
     return IfmImages(
@@ -95,7 +95,7 @@ def _amplitude(chunk: Chunk | None, info: TofInfo | None) -> Float32Array | None
         return None
     resolution = chunk.metadata.get("AmplitudeResolution", info and info.amplitude_resolution)
     if not resolution:
-        raise RecordingError("buffer", "neither metadata nor TOF_INFO tell the resolution of the amplitude")
+        raise RecordingError("buffer", "neither metadata nor TOF_INFO give the resolution of the amplitude")
     root = chunk.image().astype(np.float64) - 1.0
     return np.where(root >= 0.0, root * root * resolution, -1.0).astype(np.float32)
 

@@ -22,11 +22,11 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
 SHARE = 0.03
-"""Share by which another size differs: models of satellites are right within 1 to 3 % of their size (as
+"""Share by which another size differs. Hand: models of satellites are right within 1 to 3 % of their size (as
 ``slack_share`` of the scan's model)."""
 SIGMAS = 4.0
 """Standard deviations of the size, as the target's file declares it, by which another size differs if that is
-more."""
+more. Physics: one in 16,000 normal errors is larger."""
 
 
 def other_sizes(

@@ -19,10 +19,11 @@ from rpod_pose.registration.surface_model import Faces
 from rpod_schemas.arrays import FloatArray
 
 JUMP = 4.0
-"""Least difference of two ranges, in standard deviations of one, at which a surface ends."""
+"""Least difference of two ranges, in standard deviations of one, at which a surface ends. Physics: the noise
+of a difference is 1.4 of these, so that one in 200 pairs on one surface seems to be a jump."""
 NEARER = 0.5
-"""Greatest distance of an edge from the surface that ends there, as a share of that to the surface behind it:
-an edge farther away belongs to something hidden."""
+"""Greatest distance of an edge from the surface that ends there, as a share of that to the surface behind it.
+Hand: an edge farther away belongs to something hidden."""
 
 
 class Places(NamedTuple):

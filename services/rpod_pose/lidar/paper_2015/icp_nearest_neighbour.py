@@ -40,15 +40,14 @@ from rpod_pose.registration.normal_equations import (
     information_of,
     no_sums,
 )
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
 
-TO_SIGMA = 1.4826
-"""Standard deviation over the median of absolute values, for normal errors."""
 ON_SURFACE_M = 1e-6
-"""Distance below which the face's normal replaces the direction to the closest point."""
+"""Distance below which the face's normal replaces the direction to the closest point. Numerics: a thousandth
+of any range error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +201,7 @@ class NearestNeighbourIcp:
         local_m = T_target_sensor.apply(points_m)
         closest_m = self._match_on_surface(local_m, facing, nearest)
         matched, distance_m = nearest >= 0, np.linalg.norm(local_m - closest_m, axis=1)
-        spread_m = TO_SIGMA * float(np.median(distance_m[matched])) if matched.any() else 0.0
+        spread_m = MAD_TO_SIGMA * float(np.median(distance_m[matched])) if matched.any() else 0.0
         gate_m = max(self._config.gate_m, self._config.gate_spread * spread_m)
         return Matches(local_m, closest_m, self._surface.normals[nearest], matched & (distance_m <= gate_m))
 

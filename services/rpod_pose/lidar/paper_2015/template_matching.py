@@ -27,9 +27,11 @@ from rpod_schemas.types import LidarScan
 from rpod_target import Target
 
 BOUND_MARGIN_DEG = 1e-6
-"""Distance of the templates from the bounds of the angles, so that both ends of a range are distinct."""
+"""Distance of the templates from the bounds of the angles, so that both ends of a range are distinct.
+Numerics: far below the step of any grid of templates."""
 LEAST_SPREAD_M = 1e-9
-"""Least spread of a scan in a division, for one that lies on the boresight."""
+"""Least spread of a scan in a division, for one that lies on the boresight. Numerics: it avoids a division by
+zero."""
 
 
 @dataclass(frozen=True, eq=False)

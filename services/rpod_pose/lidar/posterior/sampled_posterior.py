@@ -23,19 +23,23 @@ from rpod_pose.search.even_samples import sobol
 from rpod_schemas.arrays import FloatArray
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's distribution: its tails reach poses that the rounds before did not."""
+"""Degrees of freedom of Student's distribution. Numerics: its tails reach poses that the rounds before did
+not."""
 ROUNDS, SAMPLES = 12, 64
-"""Largest number of rounds, and number of samples in each."""
+"""Largest number of rounds, and number of samples in each. Numerics: a budget of computation."""
 SPREAD = 24.0
-"""Least effective number of samples from which a round's covariance is computed: several for each unknown."""
+"""Least effective number of samples from which a round's covariance is computed. Numerics: four for each
+unknown."""
 ENOUGH = 48.0
-"""Effective number of samples that ends the rounds: the mean is then known within a seventh of its sigma."""
+"""Effective number of samples that ends the rounds. Numerics: the mean is then known within a seventh of its
+sigma."""
 OF_POSE = 6
-"""Number of unknowns of a pose."""
+"""Number of unknowns of a pose. Physics: three of position, three of attitude."""
 HALVINGS = 20
-"""Number of bisections for the power of the weights."""
+"""Number of bisections for the power of the weights. Numerics: the power is then known to 1e-6."""
 IMPOSSIBLE = -1e9
-"""Log likelihood of a step that turns by more than half a turn: a shorter one leads to the same attitude."""
+"""Log likelihood of a step that turns by more than half a turn. Numerics: its weight is zero; a shorter step
+leads to the same attitude."""
 
 
 class Proposal(NamedTuple):

@@ -2,7 +2,7 @@
 
 The registration's information contains assumptions that a single scan needs for its belief: faces about their
 model by a slack, a variance of the residuals that is never below the stated one, and both for the outline.
-What changes from scan to scan is told by the residuals themselves, each with its own weight in the fit.
+The noise that changes from scan to scan is estimated from the residuals, each with its own weight in the fit.
 """
 
 from typing import NamedTuple, Self
@@ -23,8 +23,8 @@ from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 
 LEAST_RESPONSE = 0.5
-"""Least mean derivative of a robust residual over its mean weight: normal errors at a scale of three standard
-deviations have 0.7."""
+"""Least mean derivative of a robust residual over its mean weight. Hand: normal errors at a scale of three
+standard deviations have 0.7."""
 
 
 class FaceRows(NamedTuple):
@@ -73,10 +73,9 @@ def noise_information(rows: FaceRows, found: ScanRegistration, weak: FloatArray)
 
     With the weights w, their sum M = sum of w J^T J, and variances v of the residuals, the pose has the
     covariance M^-1 (sum of w^2 v J^T J) M^-1 (H. White, Econometrica 48, 1980). A residual's variance is
-    estimated by its own square; the fit takes off its leverage's share, which the assumed variance replaces,
-    scaled to all residuals.
-    A robust weight answers less to a change than its own size (P. J. Huber, Robust Statistics, 1981, section
-    7.6). What the outline adds stays as it is.
+    estimated by its own square. The fit reduces this square by the residual's leverage; that part is replaced
+    by the assumed variance, scaled to all residuals. A robust weight answers less to a change than its own
+    size (P. J. Huber, Robust Statistics, 1981, section 7.6). What the outline adds stays as it is.
 
     Args:
         rows: returns on faces.

@@ -19,13 +19,13 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import ImuReading
 
 _GAP_S = 0.1
-"""Time between two readings beyond which the rotation between them is not known: a spacecraft's attitude
-control reacts within some tenths of a second."""
+"""Time between two readings beyond which the rotation between them is not known. Hand: a spacecraft's
+attitude control reacts within some tenths of a second."""
 _KEPT_S = 300.0
-"""Time for which readings are kept; no track coasts for longer."""
+"""Time for which readings are kept. Numerics: memory; no track coasts for longer."""
 _RATE_S = 0.2
-"""Time before a stamp over which readings give the rate at the stamp: its noise is then 5 times the angular
-random walk over a second. Attitude control changes the rate little in this time."""
+"""Time before a stamp over which readings give the rate at the stamp. Physics: its noise is then 5 times the
+angular random walk over a second, and attitude control changes the rate little in this time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -30,9 +30,10 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 
 _EXPECTED = 3.0
-"""Mean of the normalised innovation squared of a position or an attitude: its degrees of freedom."""
+"""Mean of the normalised innovation squared of a position or an attitude. Physics: its degrees of freedom."""
 _STEPS = 1.25 ** np.arange(100.0)
-"""Factors that are tried, up to 4e9."""
+"""Factors that are tried, up to 4e9. Numerics: a quarter more variance each is 12 % of a standard
+deviation."""
 
 
 class _Grown(NamedTuple):

@@ -22,11 +22,13 @@ from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, lef
 from rpod_schemas.arrays import FloatArray
 
 RATIOS = 2
-"""Number of coefficients of an inertia's ratios."""
+"""Number of coefficients of an inertia's ratios. Physics: three moments, whose common factor no motion
+without torque shows."""
 _BASIS = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
-"""Orthonormal changes of the logarithms of three moments that keep their product, which no motion shows."""
+"""Orthonormal changes of the logarithms of three moments. Physics: they keep the product, which no motion
+shows."""
 _STEP_RAD = 0.1
-"""Largest turn in a step of the integration: the error of a step is about 1e-7 rad."""
+"""Largest turn in a step of the integration. Numerics: the error of a step is about 1e-7 rad."""
 
 
 @dataclass(frozen=True, eq=False)

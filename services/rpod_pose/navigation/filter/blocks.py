@@ -18,8 +18,8 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 
 ALIKE_RAD = 0.1
-"""Turn of the view after which covariances of an earlier view count less by 1/e: after it, the cosines by
-which faces count have changed by a tenth."""
+"""Turn of the view after which covariances of an earlier view count less by 1/e. Physics: after it, the
+cosines by which faces count have changed by a tenth."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,10 @@ from rpod_schemas.types import Mode
 from rpod_target import Equivalence, Joint
 
 BEGINNING = 0.5
-"""Factor on the share at which a track is lost, below which one may begin, so that tracks do not flicker."""
+"""Factor on the share at which a track is lost, below which one may begin. Hand: two shares that differ, so
+that tracks do not begin and end in turn."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
-"""Standard deviations of a given first pose without a given covariance."""
+"""Standard deviations of a given first pose without a given covariance. Hand: 5 cm and 15 deg."""
 
 
 class Beginning:

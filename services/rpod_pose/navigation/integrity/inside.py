@@ -26,18 +26,18 @@ WRONG_SIZE = (
 )
 
 SPREAD = 0.03
-"""Length over the range by which a wrong part is off: models of satellites are right within 1 to 3 % of their
-size (as ``slack_share`` of the scan's model)."""
+"""Length over the range by which a wrong part is off. Hand: models of satellites are right within 1 to 3 % of
+their size (as ``slack_share`` of the scan's model)."""
 
 UNLIKELY = 0.02
-"""Share of the risk below which the probability of another size is left out of the levels: two of these add
-less than a twentieth."""
+"""Share of the risk below which the probability of another size is left out of the levels. Numerics: two of
+these add less than a twentieth."""
 UNRESOLVED = 2.0 / 3.0
 """Part of the way to another size up to which the frames cannot exclude a size: a likelihood prefers the
-nearer of two sizes, but for a shift that right models have too: 0.4 to 0.8 % of the size (mock-up, ENVISAT),
-where the other one is 3 % off."""
+nearer of two sizes, but for a shift that right models have too. Hand: measured, 0.4 to 0.8 % of the size
+(mock-up, ENVISAT), where the other one is 3 % off."""
 _MOST_LOG_ODDS = 50.0
-"""Largest log odds of which the exponential is taken."""
+"""Largest log odds of which the exponential is taken. Numerics: it stays finite."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,15 +37,18 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
 _RATIOS = 20
-"""Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored."""
+"""Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored.
+Numerics: a level grows by a twentieth at most."""
 _ROUNDING = 1e-9
-"""Part of a step below which a ratio counts as the step itself."""
+"""Part of a step below which a ratio counts as the step itself. Numerics: the error of the division."""
 _DECADE = 20
-"""Steps of a decade of a hypothesis' probability, which is rounded up for the same reason."""
+"""Steps of a decade of a hypothesis' probability, which is rounded up for the same reason. Numerics: a
+probability changes by 12 % at most."""
 _NODES = 40
-"""Number of nodes of the quadrature along each of two angles."""
+"""Number of nodes of the quadrature along each of two angles. Numerics: a budget; the integrand is smooth."""
 _CLOSE = 1e-3
-"""Error up to which a quantile is computed, never too small, in standard deviations."""
+"""Error up to which a quantile is computed, never too small, in standard deviations. Numerics: below a
+thousandth of any level."""
 
 
 @dataclass(frozen=True, eq=False)

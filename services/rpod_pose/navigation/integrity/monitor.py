@@ -70,7 +70,7 @@ class Memory:
 
 
 class Monitor:
-    """Judges each output of the navigator.
+    """Checks the integrity of each output of the navigator.
 
     Args:
         settings: settings of the estimator.

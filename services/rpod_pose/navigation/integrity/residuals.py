@@ -22,7 +22,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 
 _EXPLAINED = 0.5
-"""Share of a bias from which on a clock is named as its cause: more than all other causes together."""
+"""Share of a bias from which on a clock is named as its cause. Hand: more than all other causes together."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_schemas.config.estimator.filter import FilterConfig
 
 AGREEMENTS = 2
-"""Number of frames of established sensors that must agree. By the first one, the newcomer may have delivered
-for a moment only; between two of them it has had the time to pull its filter away."""
+"""Number of frames of established sensors that must agree. Hand: by the first one, the newcomer may have
+delivered for a moment only; between two of them it has had the time to pull its filter away."""
 PROBATION = "offered: the sensor joins the track when the next frames of {} agree"
 """Reason for which a newcomer's pose is not used yet."""
 

@@ -9,7 +9,8 @@ from rpod_schemas.messages import NANOSECONDS
 RESTS = "not searched: the last search was in vain, and another sensor must not wait"
 """Reason for which a frame without a track is not used."""
 PERIODS = 1.5
-"""Number of its own periods in which a slow sensor must deliver its next measurement."""
+"""Number of its own periods in which a slow sensor must deliver its next measurement. Hand: half a period for
+jitter; two would wait for a measurement that is lost."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Stream:
     period_ns: int | None = None
     """Time between the two newest frames; None if unknown."""
     searched_ns: int | None = None
-    """Stamp of the newest frame that was searched without a guess, in vain; None if there is none."""
+    """Stamp of the newest frame that was searched without a guess, without success; None if there is none."""
     accepted_ns: int | None = None
     """Newest stamp of a frame that the present track has accepted; None if there is none."""
 
@@ -68,12 +69,12 @@ def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
 
 
 def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
-    """Return the streams after a frame was searched in vain."""
+    """Return the streams after an unsuccessful search in a frame."""
     return {**streams, sensor: replace(streams.get(sensor, Stream()), searched_ns=stamp_ns)}
 
 
 def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
-    """Return whether a frame is left unsearched, so that searches in vain do not delay another sensor."""
+    """Return whether a frame is left unsearched, lest unsuccessful searches delay another sensor."""
     searched_ns = streams.get(sensor, Stream()).searched_ns
     return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
 

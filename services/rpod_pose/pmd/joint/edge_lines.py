@@ -19,10 +19,10 @@ from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, infor
 from rpod_schemas.arrays import FloatArray
 
 MOST_LEVERAGE = 0.75
-"""Largest share of the information about a motion that a line may have in the jackknife. Without a line that
-has more, the frame would not determine the motion, and the linear step says nothing."""
+"""Largest share of the information about a motion that a line may have in the jackknife. Hand: without a line
+that has more, the frame would not determine the motion, and the linear step would be too large."""
 OF_POSE = 6
-"""Number of unknowns of a pose."""
+"""Number of unknowns of a pose. Physics: three of position, three of attitude."""
 
 
 class Lines(NamedTuple):

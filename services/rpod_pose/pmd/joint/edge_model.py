@@ -18,13 +18,16 @@ from rpod_target import Target
 from rpod_target.mesh.topology import components, edges
 
 CREASE_RAD = np.radians(15.0)
-"""Least angle between faces at an edge: below, they belong to one curved surface."""
+"""Least angle between faces at an edge. Hand: below, they belong to one curved surface, which darkens towards
+its limb."""
 
 
 BEND_RAD = np.radians(35.0)
-"""Largest turn at which an edge continues another one: below half of a hexagon's, above a circle's of 12."""
+"""Largest turn at which an edge continues another one. Physics: between a hexagon's 60 deg and a 12-sided
+circle's 30 deg."""
 WELD = 1e-6
-"""Greatest distance of two ends that are one, over the target's extent."""
+"""Greatest distance of two ends that are one, over the target's extent. Numerics: the rounding of a mesh in
+single precision."""
 
 
 @dataclass(frozen=True, eq=False)

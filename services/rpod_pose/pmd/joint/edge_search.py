@@ -14,16 +14,17 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 SHORTEST = 1e-9
-"""Least length of a unit vector along an edge in the image, over the focal length: an edge seen from its end
-has no direction."""
+"""Least length of a unit vector along an edge in the image, over the focal length. Numerics: it avoids a
+division by zero; an edge seen from its end has no direction."""
 MOST_REACH = 32
-"""Greatest length of a profile in both directions, px."""
+"""Greatest length of a profile in both directions, px. Numerics: memory, the length of a buffer."""
 FLAT = 0.02
-"""Least change along a profile over the change that counts: noise changes more, glints and blackouts less."""
+"""Least change along a profile over the change that counts. Hand: noise changes more, glints and blackouts
+less."""
 NOT_SATURATED = np.zeros((0, 0), np.uint8)
 """Mask of an image without saturated pixels."""
 MIDDLE = 2
-"""Half length of the middle of a profile, px."""
+"""Half length of the middle of a profile, px. Hand: an edge in its predicted place changes there first."""
 
 
 class Lens(NamedTuple):

@@ -40,20 +40,23 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 NEAR_M = 0.05
-"""Least z of a sample that is projected."""
+"""Least z of a sample that is projected. Physics: no camera measures nearer."""
 OWN_PX = 1.0
-"""Greatest distance of a change of the rendering that still belongs to the edge: a pixel's width."""
+"""Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
 MERGED_PX = 1.7
-"""Distance below which two steps have one steepest change: two standard deviations of the smoothing, which is
-that of ``blur_px`` (0.8 px) and of the pixels (0.3 px)."""
+"""Distance below which two steps have one steepest change. Physics: two standard deviations of the smoothing,
+which is that of ``blur_px`` (0.8 px) and of the pixels (0.3 px)."""
 ALIASED_PX = 0.25
-"""Displacement below which an edge lies on itself: rays half a pixel apart show it no better."""
+"""Displacement below which an edge lies on itself. Physics: rays half a pixel apart show it no better."""
 DIRECTIONS = 4
-"""Number of directions of edges that are told apart in a pixel: closer ones are one change."""
+"""Number of directions of edges that are told apart in a pixel. Hand: 45 deg apart; closer ones are one
+change."""
 LEAST_RATIO = 0.3
-"""Least change of a rendering over the least change that counts: a fainter one says nothing of the place."""
+"""Least change of a rendering over the least change that counts. Hand: a fainter one tells nothing of the
+place."""
 TYPICAL_SAMPLES = 1000
-"""Number of pixels from which the rendering's median brightness is estimated."""
+"""Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
+computation."""
 
 
 class Appearance(NamedTuple):

@@ -38,16 +38,18 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
-"""Prior standard deviations of a step."""
+"""Prior standard deviations of a step. Numerics: they hold only directions that nothing determines."""
 SCALE = 0.2
-"""Geman-McClure scale of an edge's residual over the reach of its search."""
+"""Geman-McClure scale of an edge's residual over the reach of its search. Hand: a smaller value ignores edges
+that are off, a larger one follows wrong edges."""
 BLUNTNESS_PX = 1.4
-"""Standard deviation of an edge's position by noise, px, per noise of its change over the change itself."""
+"""Standard deviation of an edge's position by noise, px, per noise of its change over the change itself.
+Hand: about the width over which a change is blurred; expected errors are proportional to it."""
 SHIFT_PX = 0.5
-"""Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share: a
-fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
+"""Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
+Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
 NEAREST_M = 0.05
-"""Least distance in the weights of edges: no camera measures nearer."""
+"""Least distance in the weights of edges. Physics: no camera measures nearer."""
 
 
 class EdgeSight(NamedTuple):

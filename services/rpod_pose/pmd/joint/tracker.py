@@ -69,13 +69,13 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
 STILL_PX = 0.5
-"""Motion in the image up to which a rendering still shows which edges to expect: half a pixel."""
+"""Motion in the image up to which a rendering still shows which edges to expect. Hand: half a pixel."""
 LAST_STEPS = 2
-"""Number of the last steps, before which the target is rendered again if it has moved."""
+"""Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
-"""Largest bias at which edges are searched in standard deviations, and number of the places on each side."""
+"""Largest bias that is searched, in sigmas, and number of places on each side. Numerics: budgets."""
 MOST_WIDER = 3.0
-"""Greatest factor on the last search's reach for close targets, whose edges are farther off in pixels."""
+"""Greatest factor on the last search's reach, for close targets. Numerics: a budget of computation."""
 
 
 class JointTracker:
@@ -321,7 +321,7 @@ class JointTracker:
         return agreeing / checked if checked else 0.0
 
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
-        """Return the share of the expected edges that are near their place at a pose; None if few are seen."""
+        """Return the share of the expected edges near their place at a pose; None if few are seen."""
         tuning = self._tuning
         wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider

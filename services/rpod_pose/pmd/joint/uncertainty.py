@@ -11,8 +11,8 @@ from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, infor
 from rpod_schemas.arrays import FloatArray
 
 MIXED_PX = 1.0
-"""Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e: then
-an edge lies on other pixels."""
+"""Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e.
+Physics: then an edge lies on other pixels."""
 
 
 class Uncertainty(NamedTuple):

@@ -13,9 +13,9 @@ from rpod_schemas.arrays import FloatArray
 
 PERIODS = 8.0
 """Periods of the error in one wavelength of the modulation, of which the way to the target and back is two
-ranges."""
+ranges. Physics: four samples alias the third and the fifth harmonic to four periods in half a wavelength."""
 ROUNDS = 3
-"""Number of weighted fits, after each of which outliers count less."""
+"""Number of weighted fits, after each of which outliers count less. Numerics: a budget of computation."""
 
 
 def wiggling(

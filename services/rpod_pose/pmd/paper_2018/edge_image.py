@@ -19,11 +19,13 @@ from rpod_schemas.config.pmd.amplitude import EdgeImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 WHITE = 255.0
-"""Greatest grey value of an 8-bit image."""
+"""Greatest grey value of an 8-bit image. Physics: 2^8 - 1."""
 BRIGHTNESS_STRIDE = 2
-"""Stride, across and down, of the pixels from which the image's brightness is estimated."""
+"""Stride, across and down, of the pixels from which the image's brightness is estimated. Numerics: a budget
+of computation."""
 BEYOND_PX = 3.0
-"""Distance from a silhouette, on its darker side, at which the background is read."""
+"""Distance from a silhouette, on its darker side, at which the background is read. Hand: past the blur of the
+edge itself."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.amplitude import LineMatchConfig
 
 REFITS = 2
-"""Number of times that a line is fitted again to the edge pixels near the last fit: a budget."""
+"""Number of times that a line is fitted again to the edge pixels near the last fit. Numerics: a budget."""
 ALIGNED = np.cos(np.deg2rad(25.0))
-"""Least cosine between an edge pixel's gradient and the normal of its line: 25 degrees."""
+"""Least cosine between an edge pixel's gradient and the normal of its line. Hand: 25 deg."""
 
 
 @dataclass(frozen=True, eq=False)

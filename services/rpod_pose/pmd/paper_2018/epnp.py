@@ -30,11 +30,13 @@ from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_target import Target
 
 STRIDE_PX = 4
-"""Stride of the pixels on which the model is rendered to find what is hidden."""
+"""Stride of the pixels on which the model is rendered to find what is hidden. Numerics: a budget of
+computation."""
 FARTHEST_RADII = 200.0
-"""Greatest distance of a target with visible lines, in its radii."""
+"""Greatest distance of a target with visible lines, in its radii. Numerics: lines are then a few pixels long
+or shorter."""
 LEAST_ANGLE_RAD, LEAST_REACH_PX, LEAST_TOLERANCE = np.deg2rad(6.0), 2.5, 0.06
-"""Least limits of the matches: short lines and small circles are not more accurate."""
+"""Least limits of the matches. Hand: short lines and small circles are not more accurate."""
 
 
 @dataclass(frozen=True)

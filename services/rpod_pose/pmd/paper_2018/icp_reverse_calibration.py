@@ -44,17 +44,22 @@ from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 NO_MATCH, DIRECT, NEAREST = 0, 1, 2
-"""How a model point found its pixel: not at all, in its own pixel, or in the nearest with depth."""
+"""How a model point found its pixel: not at all, in its own pixel, or in the nearest with depth. Numerics:
+small whole numbers, compared for equality only."""
 NEAR_M = 0.05
-"""Least z of a point that is projected, m: no camera measures nearer."""
+"""Least z of a point that is projected, m. Physics: no camera measures nearer."""
 STALE_M = 0.01
-"""Least step after which the visible model points are determined again."""
+"""Least step after which the visible model points are determined again. Hand: visibility changes little below
+it; a smaller value costs time."""
 EQUAL_WEIGHTS_M = 1e3
-"""A Geman-McClure scale at which all matches have the same weight."""
+"""A Geman-McClure scale at which all matches have the same weight. Numerics: weights then differ by some
+millionths."""
 FEWEST_BENEATH = 2
-"""Least number of points in a direct match: one point is too noisy, and near an outline it may be mixed."""
+"""Least number of points in a direct match. Hand: one point is too noisy, and near an outline it may be
+mixed."""
 NARROWING = 0.75
-"""Factor on radius and scale from iteration to iteration."""
+"""Factor on radius and scale from iteration to iteration. Numerics: a larger factor converges from farther,
+slower."""
 
 
 class DepthPixels(NamedTuple):

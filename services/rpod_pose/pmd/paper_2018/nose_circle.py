@@ -22,15 +22,17 @@ from rpod_schemas.types import Float32Array
 from rpod_target.outlines import Disc
 
 MARGIN = 1.4
-"""Extent of the resampled image from the predicted centre, in radii, beyond the reach of the search."""
+"""Extent of the resampled image from the predicted centre, in radii, beyond the reach of the search. Hand:
+the rim and 40 % more."""
 SPOKES = 48
-"""Number of directions from the centre along which the rim is looked for: a budget, 7.5 deg apart."""
+"""Number of directions from the centre along which the rim is looked for. Numerics: a budget, 7.5 deg
+apart."""
 STEPS = 25
-"""Number of points along a spoke at which the amplitude is read."""
+"""Number of points along a spoke at which the amplitude is read. Numerics: a budget of computation."""
 REFITS = 3
-"""Number of times that the circle is fitted, each time in a narrower search: a budget."""
+"""Number of times that the circle is fitted, each time in a narrower search. Numerics: a budget."""
 _ANGLE = np.arange(SPOKES) * (2.0 * np.pi / SPOKES)
-"""Angles of the spokes, rad."""
+"""Angles of the spokes, rad. Physics: even over the circle."""
 _SPOKE = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=1)
 """Directions of the spokes, shape (SPOKES, 2)."""
 
@@ -158,7 +160,8 @@ def measured_circle(
 
 
 LEAST_STEP = 0.01
-"""Least change between two points of a spoke that counts as an edge, as a share of white."""
+"""Least change between two points of a spoke that counts as an edge, as a share of white. Hand: 2.5 of 255
+grey values, a little above their rounding."""
 
 
 @kernel

@@ -26,15 +26,19 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import Camera
 
 CONVERGED = 1e-6
-"""Step, m and rad, below which the refinement has converged."""
+"""Step, m and rad, below which the refinement has converged. Numerics: a thousandth of any error of the
+method."""
 LEAST_HOLD = 1e-12
-"""Prior information that the step is zero, 1/m2 or 1/rad2 times px2: negligible."""
+"""Prior information that the step is zero, 1/m2 or 1/rad2 times px2. Numerics: negligible, so that the
+information can always be inverted."""
 BEHIND_M = 1e-3
-"""Least z of a point that is projected, m: at smaller z its derivatives overflow."""
+"""Least z of a point that is projected, m. Numerics: at smaller z its derivatives overflow."""
 PRIOR_RESIDUALS = 4.0
-"""Number of residuals for which the assumed noise counts: few points hardly determine their own noise."""
+"""Number of residuals for which the assumed noise counts. Hand: few points hardly determine their own
+noise."""
 WORST_CONDITION = 1e10
-"""Condition of the information from which on it is not inverted: six digits of a double are left."""
+"""Condition of the information from which on it is not inverted. Numerics: six digits of a double are
+left."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,19 +18,23 @@ from rpod_target import Target
 from rpod_target.outlines import Disc, Face, plane_faces
 
 NEAR_M = 0.05
-"""Least z of a point that is projected, m: no camera measures nearer."""
+"""Least z of a point that is projected, m. Physics: no camera measures nearer."""
 BESIDE_STRIDES = 1.5
-"""Distance from a line, in coarse pixels, at which the background is checked."""
+"""Distance from a line, in coarse pixels, at which the background is checked. Hand: past the coarse pixel in
+which the line is."""
 KNOTS = np.linspace(0.04, 0.96, 12)
-"""Positions along a line, or around a rim, at which its visibility is checked."""
+"""Positions along a line, or around a rim, at which its visibility is checked. Numerics: a budget; the ends
+belong to other lines too."""
 SAME_CORNER = 1e-5
-"""Greatest distance of two equal corners, as a share of the target's extent."""
+"""Greatest distance of two equal corners, as a share of the target's extent. Numerics: the rounding of a mesh
+in single precision."""
 PARALLEL = 0.99
-"""Least cosine of the angle between normals that count as parallel."""
+"""Least cosine of the angle between normals that count as parallel. Hand: 8 deg."""
 AXIS_SHARE = 0.01
-"""Greatest distance of two equal axes of circles, as a share of the radius."""
+"""Greatest distance of two equal axes of circles, as a share of the radius. Hand: far above rounding, below
+the distance of two parts."""
 RIM = np.stack([np.cos(2.0 * np.pi * KNOTS), np.sin(2.0 * np.pi * KNOTS)], axis=1)
-"""These positions on a unit circle, shape (12, 2)."""
+"""These positions on a unit circle, shape (12, 2). Physics: of ``KNOTS``."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A truth that states its own error: errors are judged by both covariances, and its share is told."""
+"""A truth that states its own error: errors are compared with both covariances, and its share is told."""
 
 import numpy as np
 import pytest
@@ -27,22 +27,22 @@ def summary_of(path, **changes):
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory):
+def scored(tmp_path_factory):
     error = TruthError(TruthErrorConfig(correlation_s=0.05), seed=1, rate_hz=250.0)
     return summary_of(tmp_path_factory.mktemp("truth") / "epos.mcap", truth_error=error)
 
 
-def test_errors_against_a_coarse_truth_are_consistent_with_both_covariances(judged):
-    assert 4.5 < judged.consistency.nees_mean < 7.5
-    assert judged.consistency.nees_share_in_95 > 0.9
+def test_errors_against_a_coarse_truth_are_consistent_with_both_covariances(scored):
+    assert 4.5 < scored.consistency.nees_mean < 7.5
+    assert scored.consistency.nees_share_in_95 > 0.9
 
 
-def test_the_summary_and_the_checks_say_how_much_may_be_the_truths(judged):
-    truth = judged.truth_error
+def test_the_summary_and_the_checks_say_how_much_may_be_the_truths(scored):
+    truth = scored.truth_error
     assert truth.position_m_rms == pytest.approx(np.sqrt(3.0) * 1.56e-3)
     assert truth.attitude_deg_rms == pytest.approx(np.sqrt(3.0) * 0.2)
     assert truth.position_share == pytest.approx(1.56**2 / (1.56**2 + 0.5**2), abs=0.12)
-    (check,) = (check for check in find_checks(judged, 0) if check.question == "Truth")
+    (check,) = (check for check in find_checks(scored, 0) if check.question == "Truth")
     assert "2.7 mm" in check.answer
     assert check.good is None
 

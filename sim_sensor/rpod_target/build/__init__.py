@@ -1,0 +1,1 @@
+"""Building of a target from its parameters: surfaces, inside, samples and mass; it needs Open3D."""
