@@ -137,7 +137,7 @@ class Navigator:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         if state.mode == Mode.TRACKING and not began.has_track:  # it is offered to the other sensors
             state = replace(state, searches={})
-        return state, output
+        return state, self._judged(state, output)
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
@@ -181,7 +181,14 @@ class Navigator:
         """Return the state and the output at the stamp of a frame without content of its own."""
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
-        return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
+        state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
+        return state, self._judged(state, output)
+
+    def _judged(self, state: NavigatorState, output: Output) -> Output:
+        """Return an output with what its covariance says of its use."""
+        if output.odometry is None:
+            return output
+        return replace(output, of_no_use=self._coasting.of_no_use(state, output.odometry.stamp_ns))
 
     # --- searches ---
 

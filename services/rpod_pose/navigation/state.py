@@ -93,6 +93,9 @@ class Output:
     """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was
     refused."""
 
+    of_no_use: str = ""
+    """How the covariance of the odometry exceeds the alert limit; empty if it does not."""
+
     def because(self, why: str) -> "Output":
         """Return this output with a reason before its own."""
         reason = f"{why}; {self.status.reason}"

@@ -259,6 +259,22 @@ def test_a_coasting_track_is_lost_when_its_covariance_reaches_the_alert_limit(al
     assert output.status.reason.startswith(f"no measurement was accepted for {0.02 * number:.2f} s, sigma")
 
 
+@pytest.mark.parametrize(
+    ("alert", "reason"),
+    [
+        (AlertLimit(attitude_deg=0.01, position_m=5.0), "sigma of the attitude 0.2 deg, alert limit 0.01 deg"),
+        (AlertLimit(attitude_deg=30.0, position_m=0.001), "mm, alert limit 1 mm"),
+        (WIDE, ""),
+    ],
+)
+def test_a_track_whose_measurements_are_vaguer_than_the_alert_limit_is_of_no_use(alert, reason):
+    made = tracking(alert=alert)
+    output = made.see(good(START_S + 1.1))
+    assert output.status.mode == Mode.TRACKING
+    assert reason in output.of_no_use
+    assert bool(output.of_no_use) == bool(reason)
+
+
 def test_a_quiet_target_is_predicted_for_longer_than_a_restless_one():
     def coasted_s(filter_config):
         made, number = tracking(filter_config=filter_config), 0
