@@ -281,7 +281,11 @@ class Navigator:
             if waiting := self._waiting(state, event):
                 return state, self._output(state, event, registration, reason=f"{reason}; {waiting}")
             search = self._registrar.around(state.joints, event, predicted)
-            return self._ask(state, replace(search, registration=registration, reason=reason))
+            search = replace(search, registration=registration, reason=reason)
+            if not state.established:  # a given pose that its first frame does not show
+                state = replace(state, mode=Mode.ACQUIRING, history=None)
+                search = replace(search, frame=event.data)
+            return self._ask(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
 
     def _registered(

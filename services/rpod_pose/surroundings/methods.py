@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.search.unwanted import step
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
@@ -178,6 +179,7 @@ class TrackerAmongThings(Generic[FrameT]):
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration that gave the pose, if the same frame did.
         """
+        step()
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
         share, *narrower = margins

@@ -1,5 +1,7 @@
 """Searches beside a live estimator: one a sensor, cancelled when nobody waits, resting when in vain."""
 
+from multiprocessing import Pipe
+
 import numpy as np
 import pytest
 from pmd_frames import depth_frame, frame_of
@@ -10,9 +12,12 @@ from rpod_estimator.search_process import SearchProcess, found_as_in_process, pa
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
 from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_pose.ports import Candidate, Candidates, Registration
+from rpod_pose.search.unwanted import UnwantedError, unless
+from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, Source
 from rpod_target import load_target
 
 WALL = frame_of(5.0, camera=Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5))
@@ -127,6 +132,33 @@ def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself
         assert awaited(process).acquisition.pose is not None, "the dropped result is not this one's"
     finally:
         process.end()
+
+
+def test_a_search_that_nobody_waits_for_ends_at_its_next_step():
+    ours, theirs = Pipe()
+    wanted = iter((True, True, False))
+
+    class Tracker:
+        asked = 0
+
+        def track(self, *_: object) -> Registration:
+            self.asked += 1
+            if not next(wanted):
+                ours.send_bytes(b"cancel")
+            return Registration.none(Source.NONE, "nothing to see")
+
+    class Candidates8:
+        def search(self, _: object) -> Candidates:
+            return Candidates((Candidate(make_pose(), 0.0),) * 8)
+
+    tracker = Tracker()
+    acquirer = VerifiedSearch(Candidates8(), tracker, "first")
+    with pytest.raises(UnwantedError), unless(theirs.poll):
+        acquirer.acquire(WALL)
+    assert tracker.asked == 3
+    wanted = iter([True] * 8)
+    acquirer.acquire(WALL)
+    assert tracker.asked == 11, "without anybody to lose interest all candidates are tried"
 
 
 def test_a_process_that_ends_is_told_and_started_again_after_pauses_that_grow(caplog):
