@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.unwanted import step
+from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
@@ -48,6 +49,11 @@ OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
 MARGIN = "separation_margin"
 """Name of the evidence that says with which of the margins a pose was found."""
+OTHER_UNIT = (
+    "the pose is a part of a larger thing, which looks like the target itself if all depths are divided by "
+    "{:g}: check the unit of the ranges, of a camera source.depth_unit_m"
+)
+"""Reason for which a part of a larger thing is not the target."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
 
@@ -81,6 +87,10 @@ class Frames(Protocol[FrameT]):
             frame: the frame.
             hides: rays of its fine image on known bodies, shape (rows, columns).
         """
+        ...
+
+    def nearer(self, frame: FrameT, ratio: float) -> FrameT:
+        """Return a frame whose ranges are smaller by a ratio."""
         ...
 
     def part_of(self, part: FrameT, whole: FrameT) -> FrameT:
@@ -298,7 +308,29 @@ class AcquirerAmongThings(Generic[FrameT]):
                 return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
+        if accepted is not None and (ratio := self._ratio_of_units(measurement, image, accepted)):
+            return _contradicted(accepted, OTHER_UNIT.format(ratio))
         return accepted or best
+
+    def _ratio_of_units(self, measurement: FrameT, image: RangeImage, found: Acquisition) -> float:
+        """Return the ratio of a unit in which a larger thing around a pose is the target; 0 if it is none."""
+        frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
+        assert found.pose is not None  # noqa: S101 - it is accepted
+        for ratio, thing in other_units(image, radius_m, found.pose.translation):
+            scaled = frames.nearer(measurement, ratio)
+            if self._in_part(scaled, nearer(image, ratio), thing).outcome is not Outcome.FAILED:
+                return ratio
+        return 0.0
+
+    def _in_part(self, measurement: FrameT, image: RangeImage, thing: NDArray[np.bool_]) -> Acquisition:
+        """Return the acquisition of one thing in a frame, given by its rays, shape (rows, columns)."""
+        target = self._tracker.target
+        if self._tracker.cluttered(measurement) is None:
+            return self._acquirer.acquire(measurement)
+        fine = self._tracker.frames.image(measurement, fine=True)
+        assert fine is not None  # noqa: S101 - the coarse image is known
+        labels = around_place(image, fine, thing, target.radius_m)
+        return self._searched(measurement, fine, labels, None)
 
     def _searched(
         self, measurement: FrameT, fine: RangeImage, labels: NDArray[np.uint8], pose: RigidTransform | None
