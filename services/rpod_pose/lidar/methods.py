@@ -78,7 +78,7 @@ def make(task: Task) -> Methods:
 
 
 class ScanFrames:
-    """Separates scans: surroundings.methods.Frames."""
+    """Separates scans: surroundings.frames.Frames."""
 
     range_bias_m = 0.0
 

@@ -30,6 +30,7 @@ from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
 from rpod_pose.navigation.first_pose.results import SearchResults
 from rpod_pose.navigation.first_pose.searches import (
     BEGUN,
+    FOUND,
     SEARCHED,
     SEARCHING,
     Found,
@@ -183,6 +184,16 @@ class Navigator:
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
         return state, self._judged(state, output)
+
+    def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
+        """Return what is told of a search whose result waits for the next frame of its sensor.
+
+        The state stays as it is, so that a replay needs to know nothing of it.
+        """
+        acquisition = found.acquisition
+        reason = FOUND if acquisition.begins_track else acquisition.belief.refusal or search.reason
+        output = self._output(state, search.event, acquisition.registration, reason=reason, found=acquisition)
+        return output.noting(BEGUN, 1.0)
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
         """Return an output with what its covariance says of its use."""

@@ -32,7 +32,7 @@ class PartOfFrame(PmdFrame):
 
 
 class PmdFrames:
-    """Separates PMD frames: surroundings.methods.Frames.
+    """Separates PMD frames: surroundings.frames.Frames.
 
     Args:
         range_bias_m: standard deviation of the error that all ranges of a frame share.

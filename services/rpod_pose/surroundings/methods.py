@@ -1,7 +1,7 @@
 """A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
 
 from dataclasses import replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
 from rpod_pose.search.unwanted import step
+from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
-from rpod_schemas.types import Float32Array, SensorFrame, Source
+from rpod_schemas.types import Source
 from rpod_target import Target
-
-FrameT = TypeVar("FrameT", bound=SensorFrame)
 
 MARGINS = 0.2, 0.06, 0.015
 """Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
@@ -56,57 +55,6 @@ OTHER_UNIT = (
 """Reason for which a part of a larger thing is not the target."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
-
-
-class Frames(Protocol[FrameT]):
-    """Ranges of a sensor kind's frames, and frames without other things."""
-
-    @property
-    def range_bias_m(self) -> float:
-        """Standard deviation of the error that all ranges of a frame share."""
-        ...
-
-    def image(self, frame: FrameT, *, fine: bool) -> RangeImage | None:
-        """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
-        ...
-
-    def separated(self, frame: FrameT, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> FrameT:
-        """Return a frame in which each ray has become what its label says.
-
-        Args:
-            frame: the frame.
-            labels: ``Label`` of each ray of its fine image, shape (rows, columns).
-            inside: rays that must meet the target, same shape.
-        """
-        ...
-
-    def behind_bodies(self, frame: FrameT, hides: NDArray[np.bool_]) -> FrameT:
-        """Return a frame that tells nothing where known bodies are.
-
-        Args:
-            frame: the frame.
-            hides: rays of its fine image on known bodies, shape (rows, columns).
-        """
-        ...
-
-    def nearer(self, frame: FrameT, ratio: float) -> FrameT:
-        """Return a frame whose ranges are smaller by a ratio."""
-        ...
-
-    def part_of(self, part: FrameT, whole: FrameT) -> FrameT:
-        """Return a separated frame from which ``whole_of`` may get the whole one.
-
-        A tracker inside a search then verifies a pose in the whole frame.
-        """
-        ...
-
-    def whole_of(self, frame: FrameT) -> FrameT | None:
-        """Return the whole frame of a part that ``part_of`` made; None where it is not kept."""
-        ...
-
-    def every_range_m(self, frame: FrameT) -> Float32Array:
-        """Return the range of each pixel or ray of a frame, 0 without one, shape (rows, columns)."""
-        ...
 
 
 class TrackerAmongThings(Generic[FrameT]):

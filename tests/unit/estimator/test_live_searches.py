@@ -4,18 +4,21 @@ from multiprocessing import Pipe
 
 import numpy as np
 import pytest
+from navigator_rig import SECOND_NS, registration
 from pmd_frames import depth_frame, frame_of
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_estimator.estimator import Estimator
+from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
 from rpod_estimator.search_process import SearchProcess, found_as_in_process, packed
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
-from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
-from rpod_pose.ports import Candidate, Candidates, Registration
+from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, RESTING, Found, Search
+from rpod_pose.ports import Acquisition, Candidate, Candidates, Registration
 from rpod_pose.search.unwanted import UnwantedError, unless
 from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, Source
 from rpod_target import load_target
@@ -75,6 +78,41 @@ def test_a_search_that_nobody_waits_for_is_cancelled():
     assert desk.worker.cancelled == 1
     assert desk.live.result(search(2)) is None
     assert desk.worker.began == [1, 2]
+
+
+def test_a_result_that_waits_for_a_frame_is_told_once_and_handed_out_later():
+    desk, asked = Desk(), search(1)
+    assert desk.live.untold("pmd") is None
+    desk.live.result(asked)
+    assert desk.live.untold("pmd") is None, "it runs"
+    desk.worker.found = NOTHING
+    assert desk.live.untold("pmd") == (asked, NOTHING)
+    assert desk.live.untold("pmd") is None
+    assert desk.live.result(asked) is NOTHING
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [(NOTHING, "no target"), (Found(Acquisition(registration(make_pose()))), FOUND)],
+)
+def test_a_single_frame_is_told_what_its_search_has_found(found, reason):
+    config = EstimatorConfig(target="mockup", sensors=(PmdInput(),))
+    desk = Desk()
+    estimator = Estimator(config, load_target("mockup"), desk.live.of)
+    seen = Measurement("pmd", WALL, make_pose())
+    asked = estimator.process(Arrived("pmd", WALL.stamp_ns, 0.0, seen))
+    assert asked.status.evidence == {BEGUN: 1.0}
+    before = estimator._state
+    desk.worker.found = found
+    soon_ns, late_ns = WALL.stamp_ns + 2 * SECOND_NS, WALL.stamp_ns + 3 * SECOND_NS
+    assert list(estimator.untold(soon_ns, desk.live)) == [], "the next frame may come yet"
+    (told,) = estimator.untold(late_ns, desk.live)
+    assert told.status.reason.startswith(reason)
+    assert told.status.stamp_ns == WALL.stamp_ns
+    assert not told.status.accepted
+    assert told.status.evidence[BEGUN] == 1.0, "a replay knows by it when the search began"
+    assert estimator._state is before
+    assert list(estimator.untold(late_ns, desk.live)) == []
 
 
 def test_another_search_takes_the_place_of_the_one_that_runs():
