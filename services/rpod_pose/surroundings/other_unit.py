@@ -43,12 +43,10 @@ def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iter
     around = measured & (np.linalg.norm(points_m - place_m, axis=-1) < radius_m)
     for ratio in _RATIOS:
         # what is one thing depends on its size: the surfaces are those of the target in this unit
-        things = sorted(
-            surfaces(nearer(image, ratio), measured, radius_m),
-            key=lambda rays: -np.count_nonzero(rays & around),
-        )[:1]
-        if not at_border(measured):  # a part without a visible joint to the others stands apart
-            things.append(measured)
+        every = surfaces(nearer(image, ratio), measured, radius_m)
+        things = sorted(every, key=lambda rays: -np.count_nonzero(rays & around))[:1]
+        if len(every) > 1 and not at_border(whole := np.logical_or.reduce(every)):
+            things.append(whole)  # a part without a visible joint to the others stands apart
         for thing in things:
             extent_m = np.linalg.norm(points_m[thing] - np.median(points_m[thing], axis=0), axis=1)
             most_m, usual_m = float(extent_m.max()), float(np.quantile(extent_m, 0.98))
