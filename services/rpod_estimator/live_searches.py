@@ -12,7 +12,7 @@ from threading import Event
 from typing import Any, Protocol, Self
 
 from rpod_estimator.backoff import Backoff
-from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_pose.navigation.first_pose.searches import Found, Search
 from rpod_pose.ports import Methods
 
 READY_S = 60.0
@@ -99,7 +99,7 @@ class LiveSearches:
         if self._running.pop(search.sensor, None):
             worker.cancel()
         if self._backoffs[search.sensor].rests(search.event.data, now_s):
-            return Found.nothing(RESTING)
+            return Found.resting()
         worker.begin(search, self._setups[search.sensor])
         self._running[search.sensor] = _Running(search, now_s)
         return None

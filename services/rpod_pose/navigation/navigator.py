@@ -190,9 +190,10 @@ class Navigator:
 
         The state stays as it is, so that a replay needs to know nothing of it.
         """
-        acquisition = found.acquisition
-        reason = FOUND if acquisition.begins_track else acquisition.belief.refusal or search.reason
-        output = self._output(state, search.event, acquisition.registration, reason=reason, found=acquisition)
+        found_one, registration = found.acquisition.begins_track, found.acquisition.registration
+        reason = "" if found_one else found.acquisition.belief.refusal or search.reason
+        told = FOUND if found_one else ""
+        output = self._output(state, search.event, registration, reason=reason, search=told)
         return output.noting(BEGUN, 1.0)
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
@@ -209,8 +210,9 @@ class Navigator:
         if found is not None:
             return self._conclude(state, search, found)
         state = state.searching(replace(search, waited=1))
-        reason = f"{search.reason}; {SEARCHED}" if search.registration else SEARCHED
-        return state, self._output(state, search.event, search.registration, reason=reason).noting(BEGUN, 1.0)
+        reason = search.reason if search.registration else ""
+        output = self._output(state, search.event, search.registration, reason=reason, search=SEARCHED)
+        return state, output.noting(BEGUN, 1.0)
 
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Take the result of a search, at the stamp of the searched frame."""
@@ -231,7 +233,7 @@ class Navigator:
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess."""
         if waiting := self._waiting(state, event):
-            return state, self._output(state, event, reason=waiting)
+            return state, self._output(state, event, search=waiting)
         if self._rests(state, event):
             return state, self._output(state, event, reason=RESTS)
         angles = self._registrar.angles(state.joints, event)
@@ -290,7 +292,7 @@ class Navigator:
         if reason and not (tracked and self._registrar.is_confident(predicted)):
             # While no twist is known, or after a gap, the prediction may be far off.
             if waiting := self._waiting(state, event):
-                return state, self._output(state, event, registration, reason=f"{reason}; {waiting}")
+                return state, self._output(state, event, registration, reason=reason, search=waiting)
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
             if not state.established:  # a given pose that its first frame does not show
@@ -384,7 +386,7 @@ class Navigator:
             state = self._beginning.at_found(state, event, registration)
             return state, self._output(state, event, registration)
         if waiting := self._waiting(state, event):
-            return state, self._output(state, event, reason=waiting)
+            return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
         everywhere = None if self._rests(state, event) else event.data
         return self._ask(state, replace(search, frame=everywhere, reason=RESTS))

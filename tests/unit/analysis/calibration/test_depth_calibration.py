@@ -128,7 +128,7 @@ def test_logs_at_one_range_are_refused(tmp_path):
         ({"info": None}, "neither pmd/info nor the configuration gives modulation_frequency_hz"),
         (
             {"name": "nose"},
-            "called 'pmd'; its sensors are nose (pmd): give --camera nose",
+            "called 'pmd'; its sensors are nose .pmd.: give --camera nose",
         ),
         ({"target": None}, "names the target"),
         ({"target": "no-such-target"}, "no-such-target"),
