@@ -23,13 +23,15 @@ class Published:
             if topic.type.startswith(_SENSORS) and known:
                 self._sessions.setdefault(topic.name, set()).add(session)
 
-    def gone(self, session: str, topic: Topic) -> None:
-        """Note that a publisher is gone."""
+    def gone(self, session: str, topic: Topic) -> bool:
+        """Note that a publisher is gone; return whether it was the last known one of the topic."""
         with self._lock:
             sessions = self._sessions.get(topic.name, set())
+            was_there = session in sessions
             sessions.discard(session)
             if not sessions:
                 self._sessions.pop(topic.name, None)
+            return was_there and not sessions
 
     def instead(self, awaited: str) -> str:
         """Return what is published in place of an awaited topic, and what to do, for the operator."""

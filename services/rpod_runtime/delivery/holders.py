@@ -115,12 +115,20 @@ class Holders:
         if holder is not None and holder != peer:
             raise SecondPublisherError(name, holder, peer)
 
-    def leave(self, name: str, session: str) -> None:
-        """Note that the publisher of a session is gone: its liveliness token is."""
+    def leave(self, name: str, session: str, *, last: bool = False) -> None:
+        """Note that the publisher of a session is gone: its liveliness token is.
+
+        Args:
+            name: name of the topic.
+            session: Zenoh identity of the session.
+            last: whether no other publisher of the topic has a token. Then a holder whose session is unknown
+                is gone too: messages of rmw_zenoh do not name it.
+        """
         topic = self._topics.get(name)
         if topic is None:
             return
-        if topic.holder is not None and topic.holder.session == session:
+        gone = {session, ""} if last else {session}
+        if topic.holder is not None and topic.holder.session in gone:
             topic.holder = None
         topic.others = {peer: heard_s for peer, heard_s in topic.others.items() if peer.session != session}
 

@@ -494,6 +494,21 @@ def test_a_successor_with_the_same_mount_goes_on_without_a_word(stage, gone):
     assert told(stage.bench, stage.now_s)[0] == Health.OK
 
 
+@pytest.mark.parametrize("alone", [True, False], ids=["it was the last", "another one is there"])
+def test_a_publisher_whose_messages_name_no_session_is_gone_with_the_last_token_of_its_topic(alone):
+    bench, first, second = Bench(), Peer(b"1" * 16), Peer(b"2" * 16)
+    streams = [topic.of("pmd") for topic in (DEPTH, CAMERA_INFO, AMPLITUDE)]
+    for topic in streams:
+        for session in ("one",) if alone else ("one", "other"):
+            bench.node.came(session, topic)
+    bench.send_frame(NOW_NS, by=first)
+    assert not bench.arrived()[0].reason
+    for topic in streams:
+        bench.node.gone("one", topic)
+    bench.send_frame(NOW_NS + 1, by=second)
+    assert [not frame.reason for frame in bench.arrived()] == ([True] if alone else [])
+
+
 @pytest.mark.parametrize("successor", [EMULATOR, DRIVER], ids=["the same publisher", "a successor"])
 def test_another_mount_is_not_used_while_tracked_until_a_reset(stage, successor):
     if successor != EMULATOR:
