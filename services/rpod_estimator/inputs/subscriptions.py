@@ -47,7 +47,7 @@ class Subscriptions:
         self.heard_until_s = time.monotonic()
         """Time up to which all that arrived has been taken in, monotonic clock."""
         self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
-        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool]]()
+        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
         self._published = Published()
@@ -63,7 +63,7 @@ class Subscriptions:
 
     def _leave(self, session: str, topic: Topic) -> None:
         is_last = self._published.gone(session, topic)
-        self._gone.put((session, topic, is_last))
+        self._gone.put((session, topic, is_last, time.monotonic()))
 
     @property
     def infos(self) -> Mapping[str, Any]:
@@ -122,8 +122,8 @@ class Subscriptions:
 
     def _take_all(self, parts: list[Received]) -> None:
         while not self._gone.empty():
-            session, topic, is_last = self._gone.get()
-            self._holders.leave(topic.name, session, last=is_last)
+            session, topic, is_last, gone_s = self._gone.get()
+            self._holders.leave(topic.name, session, last=is_last, now_s=gone_s)
             if topic in self._reader.latched:
                 self._reader.leave(session, topic)
         while not self._resets.empty():
