@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.first_pose.searches import Found, Search, find
 from rpod_pose.ports import Methods
-from rpod_pose.search.unwanted import UnwantedError, unless
+from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.sensor import SensorInput
 from rpod_target import load_target
 

@@ -26,7 +26,7 @@ from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import PoseArrays, turned
-from rpod_pose.search.unwanted import step
+from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
-from rpod_pose.search.unwanted import step
+from rpod_pose.unwanted import step
 from rpod_schemas.types import SensorFrame, Source
 
 

@@ -9,12 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
-from rpod_pose.search.unwanted import step
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
+from rpod_pose.unwanted import step
 from rpod_schemas.types import Source
 from rpod_target import Target
 

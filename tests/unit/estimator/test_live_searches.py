@@ -16,8 +16,8 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
 from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, RESTING, Found, Search
 from rpod_pose.ports import Acquisition, Candidate, Candidates, Registration
-from rpod_pose.search.unwanted import UnwantedError, unless
 from rpod_pose.search.verified_search import VerifiedSearch
+from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, Source
