@@ -71,6 +71,8 @@ def _serve(
                             service.publish(output)
                     service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
+                for output in estimator.untold(node.clock.settled_ns(), live):
+                    service.publish(output)
                 bodies.update()
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted

@@ -10,12 +10,13 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.live_searches import LiveSearches
 from rpod_estimator.sight import measured
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
-from rpod_pose.navigation.first_pose.searches import RESTING, WAITS, InlineSearches, Searches
+from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.monitor import Memory, Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -209,14 +210,10 @@ class Estimator:
 
     def _with_sight(self, output: Output, measurement: Measurement) -> Output:
         """Return the result of a frame in which no pose was found, with what the frame measures."""
-        reason = output.status.reason
-        if not reason or reason == RESTING or reason.startswith(WAITS):
+        if not output.why:
             return output
-        if not (seen := measured(measurement.data, radius_m=self._target.radius_m)):
-            return output
-        found, waits, begun = reason.partition(f"; {WAITS}")
-        told = f"{found} ({seen}){waits}{begun}"
-        return replace(output, status=output.status.model_copy(update={"reason": told}))
+        seen = measured(measurement.data, radius_m=self._target.radius_m)
+        return output.explained(f"{output.why} ({seen})") if seen else output
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result; call it once for each.
@@ -239,6 +236,14 @@ class Estimator:
             self._told_ns = now_ns
             self._log_change(before, output)
         return output
+
+    def untold(self, now_ns: int, searches: LiveSearches) -> Iterator[Output]:
+        """Yield what searches have found whose sensors are silent since: the next frame would tell it."""
+        for name, stream in self._state.streams.items():
+            if not stream.is_silent(now_ns, self._config.navigator.silence_timeout_s):
+                continue
+            if (ended := searches.untold(name)) is not None:
+                yield self._with_sight(self._navigator.waiting(self._state, *ended), ended[0].event)
 
     def let_time_pass(self, until_ns: int) -> Iterator[Output]:
         """Advance the time in ticks from the stamp of the newest frame up to a stamp; yield results.

@@ -13,7 +13,7 @@ from threading import Event
 from typing import Any, Protocol, Self
 
 from rpod_estimator.backoff import Backoff
-from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_pose.navigation.first_pose.searches import Found, Search
 from rpod_pose.ports import Methods
 
 READY_S = 60.0
@@ -45,10 +45,17 @@ class Worker(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Running:
-    stamp_ns: int
+    search: Search
     began_s: float
+    found: Found | None = None
+    """Its result, which the navigator has not asked for since."""
+    is_told: bool = False
+
+    @property
+    def stamp_ns(self) -> int:
+        return self.search.event.stamp_ns
 
 
 class LiveSearches:
@@ -80,7 +87,7 @@ class LiveSearches:
         running = self._running.get(search.sensor)
         if running is None or running.stamp_ns != search.event.stamp_ns:
             return self._begin(search)
-        found = self._workers[search.sensor].result()
+        found = running.found or self._workers[search.sensor].result()
         if found is not None:
             del self._running[search.sensor]
             if not found.acquisition.begins_track:
@@ -93,10 +100,19 @@ class LiveSearches:
         if self._running.pop(search.sensor, None):
             worker.cancel()
         if self._backoffs[search.sensor].rests(search.event.data, now_s):
-            return Found.nothing(RESTING)
+            return Found.resting()
         worker.begin(search, self._setups[search.sensor])
-        self._running[search.sensor] = _Running(search.event.stamp_ns, now_s)
+        self._running[search.sensor] = _Running(search, now_s)
         return None
+
+    def untold(self, sensor: str) -> tuple[Search, Found] | None:
+        """Return the search of a sensor whose result waits for its next frame, once for each search."""
+        running = self._running.get(sensor)
+        if running is None or running.is_told:
+            return None
+        running.found = running.found or self._workers[sensor].result()
+        running.is_told = running.found is not None
+        return None if running.found is None else (running.search, running.found)
 
     def keep(self, searches: Collection[Search]) -> None:
         """Cancel all searches but these."""

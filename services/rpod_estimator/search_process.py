@@ -3,8 +3,8 @@
 It makes the sensor's methods anew, from the configuration. It searches at a lower priority than the
 estimator, and ends with it. The estimator waits until the process is warm, which therefore starts at the
 usual priority; one that is started later, beside the tracking, has the lower one from the beginning. A search
-that nobody waits for any more is left running for about the time of a restart, since most searches end
-before; then the process is replaced.
+that nobody waits for any more ends at its next step. If it has not ended after about the time of a restart,
+the process is replaced.
 """
 
 import io
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.first_pose.searches import Found, Search, find
 from rpod_pose.ports import Methods
+from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.sensor import SensorInput
 from rpod_target import load_target
 
@@ -34,7 +35,7 @@ NICENESS = 10
 """Lower priority of a search: a tracked frame on a loaded machine does not wait for it."""
 RESTART_S = 3.0
 """About the time in which a process starts, imports and warms up, s."""
-_READY = b"ready"
+_READY, _CANCEL = b"ready", b"cancel"
 _ENDED = "the process of the search has ended; it is started again after {:.0f} s"
 _LONGEST_PAUSE_S = 60.0
 """Longest pause before a process that has ended is started again."""
@@ -89,6 +90,8 @@ class SearchProcess:
         self._next = None
         if self._is_busy and self._unwanted_s is None:
             self._unwanted_s = self._now_s()
+            with suppress(OSError):  # an end of the process is told when it is heard
+                self._connection.send_bytes(_CANCEL)
         self._receive()
 
     def end(self) -> None:
@@ -166,10 +169,20 @@ def serve(
     with suppress(EOFError, OSError):
         connection.send_bytes(_READY)
         while True:
-            search, setup = pickle.loads(connection.recv_bytes())  # noqa: S301 - of our own process
+            if (said := connection.recv_bytes()) == _CANCEL:
+                continue  # the search had ended before
+            search, setup = pickle.loads(said)  # noqa: S301 - of our own process
             if pickle.dumps(setup) != known:
                 made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
-            connection.send_bytes(packed(find(search, made[sensor.name])))
+            with unless(connection.poll):  # whatever is sent during a search cancels it
+                connection.send_bytes(packed(_found(search, made[sensor.name])))
+
+
+def _found(search: Search, methods: Methods) -> Found:
+    try:
+        return find(search, methods)
+    except UnwantedError as error:
+        return Found.nothing(str(error))
 
 
 class _Pickler(pickle.Pickler):

@@ -1,8 +1,9 @@
 """Whether the newest estimate may be used now: a flag and an age that a robot cannot overlook.
 
-An estimate is valid while it is supported by measurements that are new, accepted and not contradicted. It is
-told with each estimate and between them by a thread, so that a main loop that is busy cannot hide it. Its age
-counts in full while this process stands still, since the target moves on (decision 80).
+An estimate is valid while it is supported by measurements that are new, accepted and not contradicted, and
+while its own covariance is below the alert limit. It is told with each estimate and between them by a thread,
+so that a main loop that is busy cannot hide it. Its age counts in full while this process stands still, since
+the target moves on (decision 80).
 """
 
 import time
@@ -60,6 +61,7 @@ class Validity:
         self._stale_after_s = stale_after_s
         self._sensors: dict[str, _Sensor] = {}
         self._mode = Mode.ACQUIRING
+        self._of_no_use = ""
         self._stamp_ns = self._measured_ns = 0
         self._lock = Lock()
 
@@ -68,7 +70,7 @@ class Validity:
         with self._lock:
             self._mode = output.status.mode
             if output.odometry is not None:
-                self._stamp_ns = output.odometry.stamp_ns
+                self._stamp_ns, self._of_no_use = output.odometry.stamp_ns, output.of_no_use
             if arrived is not None:
                 self._take_frame(output, arrived, now_s)
 
@@ -108,7 +110,7 @@ class Validity:
             if sensor.repeats and now_s > sensor.deadline_s(self._stale_after_s):
                 return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
         if now_s <= self._deadline_s():
-            return ""
+            return self._of_no_use
         accepted_s = [each.new_s for each in self._sensors.values() if each.new_s is not None]
         if not accepted_s:
             return "no measurement was accepted yet"

@@ -355,7 +355,7 @@ class KindMethods:
     """Function that returns a frame without the points for which a function of them, sensor axes, shape
     (..., 3), is true. Without it, unreliable parts of a target are not ignored."""
     separation: Callable[[Any, Any], Any] | None = None
-    """Function that returns the ``surroundings.methods.Frames`` of a sensor, from its configuration and
+    """Function that returns the ``surroundings.frames.Frames`` of a sensor, from its configuration and
     setup. Without it, known surroundings are refused."""
     tracker: Callable[[Task], Tracker[Any]] | None = None
     """Function that returns the configured tracker alone, for a target whose joints move."""

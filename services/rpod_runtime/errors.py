@@ -12,7 +12,12 @@ class BusError(RpodError):
 class NoRouterError(BusError):
     """No router answers at the endpoint."""
 
-    def __init__(self, endpoint: str, waited_s: float, identity: str | None = None) -> None:
+    def __init__(
+        self, endpoint: str, waited_s: float, identity: str | None = None, *, stopped: bool = False
+    ) -> None:
+        if stopped:
+            super().__init__(f"stopped after it had waited {waited_s:.0f} s for a router at {endpoint}")
+            return
         taken = f", end the other client that holds the identity {identity}" if identity else ""
         super().__init__(
             f"no router at {endpoint} after {waited_s:.0f} s; start one with 'rpod router', "

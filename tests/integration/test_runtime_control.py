@@ -237,7 +237,9 @@ def test_a_node_that_waits_can_be_stopped():
     stop.set()
     thread.join(TIMEOUT_S)
     assert not thread.is_alive()
-    assert len(raised) == 1
+    (error,) = raised
+    assert "stopped after it had waited" in str(error)
+    assert "--wait" not in str(error)
 
 
 def test_a_client_that_starts_again_under_its_identity_is_heard_at_once(bus):
@@ -252,8 +254,12 @@ def test_a_client_that_starts_again_under_its_identity_is_heard_at_once(bus):
 
 
 def test_two_routers_cannot_listen_at_one_endpoint():
-    with router() as endpoint, pytest.raises(EndpointError, match=f"cannot listen on {endpoint}"):
+    with (
+        router() as endpoint,
+        pytest.raises(EndpointError, match=f"cannot listen on {endpoint}.*in use") as error,
+    ):
         open_router(RouterConfig(listen=endpoint))
+    assert "[" not in str(error.value), "its brackets match"
 
 
 def test_a_router_without_estimators_to_guard_against_is_a_router():

@@ -38,7 +38,7 @@ class Scenario(Config):
 
     name: Name
     """Name under which ``rpod run`` finds the scenario."""
-    title: str = Field(min_length=8, max_length=120)
+    title: str = Field(min_length=1, max_length=120)
     """Title, one line for ``rpod scenarios``."""
     target: str
     """Name or file of the target that moves and that the sensors see."""

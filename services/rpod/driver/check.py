@@ -23,6 +23,8 @@ from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
 
+_SILENCE = "silence"
+"""Fault of a sensor of which no frame came."""
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
 
 
@@ -79,7 +81,7 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
     if as_json:
         print(json.dumps(_document(driver, duration_s, results), indent=2))
     else:
-        _show(results)
+        show(results)
     return EXIT_FAILURE if wrong else EXIT_OK
 
 
@@ -128,15 +130,29 @@ def _document(driver: DriverConfig, duration_s: float, results: list[CheckResult
     }
 
 
-def _show(results: list[CheckResult]) -> None:
+def show(results: list[CheckResult]) -> None:
+    """Print a result a line."""
     table = Table(box=None, pad_edge=False)
     for column in ("line", "result", "figures and remedy"):
         table.add_column(column, overflow="fold")
-    for each in results:
+    for each in _folded(results):
         faults = f" [{', '.join(each.faults)}] {each.remedy}" if each.faults else ""
         text = each.text + faults
         table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))
     Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def _folded(results: list[CheckResult]) -> list[CheckResult]:
+    """Return the results to show: without any frame those with a cause, and the others in one line."""
+    told = [each for each in results if each.level is not Level.UNCHECKED]
+    if not any(each.level is Level.FAIL and _SILENCE in each.faults for each in told):
+        return results
+    rest = len(results) - len(told)
+    causes = sorted(told, key=lambda each: each.level is not Level.FAIL)
+    return [
+        *causes,
+        CheckResult(line="others", level=Level.UNCHECKED, text=f"{rest} further checks need frames"),
+    ]
 
 
 def _refuse(error: object) -> int:

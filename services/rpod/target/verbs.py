@@ -1,5 +1,8 @@
 """The verbs about targets: new and check."""
 
+import errno
+import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +22,13 @@ LongestOption = Annotated[
     float | None,
     typer.Option("--longest-side-m", help="Length to which the longest side is scaled, m.", min=1e-6),
 ]
+
+
+def _needs(file: Path, verb: str) -> None:
+    """End at once if a file is not there: what reads it takes seconds to import."""
+    if not file.exists():
+        print(f"rpod target {verb}: {file}: cannot be read ({os.strerror(errno.ENOENT)})", file=sys.stderr)
+        raise typer.Exit(2)
 
 
 @target_verbs.callback()
@@ -55,11 +65,12 @@ def new(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Write a target's parameter file from a CAD file: parts, materials, mass, symmetries."""
+    if origin not in {"auto", "file", "centre"}:
+        raise typer.BadParameter("is not one of auto, file, centre", param_hint="--origin")
+    _needs(cad, "new")
     from rpod.target.command import new_command
     from rpod_target.drafting.draft import DraftOptions
 
-    if origin not in {"auto", "file", "centre"}:
-        raise typer.BadParameter("is not one of auto, file, centre", param_hint="--origin")
     options = DraftOptions(
         units=units,
         longest_side_m=longest_side_m,
@@ -93,6 +104,8 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
     """Say what rpod makes of a target: size, repairs, symmetries, accuracy, methods; draw it."""
+    if file.suffix or len(file.parts) > 1:  # no name
+        _needs(file, "check")
     from rpod.target.command import check_command
 
     raise typer.Exit(

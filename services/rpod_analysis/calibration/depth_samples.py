@@ -85,10 +85,14 @@ def collect(logs: list[Log], camera: str) -> DepthSamples:
 
 def _of_log(log: Log, camera: str) -> DepthSamples:
     name = log.paths[0].name
-    sensor = find_sensors(log).get(camera)
+    sensors = find_sensors(log)
+    sensor = sensors.get(camera)
     if sensor is None or sensor.kind != "pmd":
+        cameras = sorted(other for other, found in sensors.items() if found.kind == "pmd")
+        held = ", ".join(f"{other} ({found.kind})" for other, found in sorted(sensors.items())) or "none"
+        remedy = f"give --camera {cameras[0]}" if cameras else "only PMD cameras are calibrated so"
         raise CalibrationError(
-            f"{name}: no frames of a PMD camera called {camera!r}; give its name with --camera"
+            f"{name}: no frames of a PMD camera called {camera!r}; its sensors are {held}: {remedy}"
         )
     if sensor.T_chaser_sensor is None:
         raise CalibrationError(

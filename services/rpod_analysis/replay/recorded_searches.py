@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, Self
 
 from rpod_estimator.search_process import found_as_in_process
-from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, RESTING, Found, Search, find
+from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, Found, Search, find
 from rpod_pose.ports import Methods
 
 
@@ -30,7 +30,7 @@ class RecordedSearches:
         if not search.waited and BEGUN in self.evidence:
             return None
         if not search.waited and AGE_S in self.evidence:  # after an unsuccessful search, the next one rests
-            return Found.nothing(RESTING)
+            return Found.resting()
         if search.waited and AGE_S not in self.evidence:
             return None
         methods = self._methods[search.sensor]

@@ -77,7 +77,14 @@ class SensorBook:
         self._heard_s: float | None = None
         self._since_s = now_s
         self._others_s = -WINDOW_S
+        self.instead = ""
+        """What is awaited of a sensor that has never sent, and what is published instead."""
         self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
+
+    @property
+    def is_unheard(self) -> bool:
+        """Whether no frame of it has come yet."""
+        return self._heard_s is None
 
     def note_arrival(self, now_s: float) -> None:
         """Note that the leading part of a frame came."""
@@ -164,7 +171,7 @@ class SensorBook:
                 f"no {self._leading} for {silent_s:.0f} s, only other parts of its frames; look at its driver"
             )
         if self._heard_s is None:
-            return f"no frame yet in {silent_s:.0f} s; is its driver running, under this name?"
+            return f"no frame yet in {silent_s:.0f} s; {self.instead or 'is its driver running?'}"
         return f"no frame for {silent_s:.0f} s; look at its driver"
 
 

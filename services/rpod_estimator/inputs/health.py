@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import OK, REJECTED, InputState, Loss, SensorBook, unpaired, unused
-from rpod_pose.navigation.first_pose.searches import RESTING, WAITS
+from rpod_pose.navigation.first_pose.searches import RESTING
 from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
@@ -48,17 +48,15 @@ class InputHealth:
         book, status = self.books[arrived.sensor], output.status
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # told of as a rival
-        if status.reason.startswith(WAITS):  # the frame in which nothing is found is told of
-            return
-        if status.reason == RESTING:
+        if output.search == RESTING:
             self._health.count(f"dropped/{arrived.sensor}")
+        if output.search and not output.why:  # the frame in which nothing is found is told of
             return
         book.repeats, book.defect = arrived.repeats, arrived.defect
         if status.accepted:
             book.use(now_s, output.doubt)
         else:
-            found = status.reason.partition(f"; {WAITS}")[0]  # another search has begun, which is no reason
-            book.lose(Loss(arrived.refused or REJECTED, found), now_s)
+            book.lose(Loss(arrived.refused or REJECTED, output.why), now_s)
 
     def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
         """Note a frame that never became complete."""

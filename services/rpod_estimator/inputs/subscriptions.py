@@ -14,6 +14,7 @@ import numpy as np
 
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.inputs.health import InputHealth
+from rpod_estimator.inputs.published import Published
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.delivery.holders import Holders, SecondPublisherError
@@ -46,10 +47,11 @@ class Subscriptions:
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
         self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
-        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic]]()
+        self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
-        node.watch_publishers(lambda session, topic: self._gone.put((session, topic)))
+        self._published = Published()
+        node.watch_publishers(self._leave, self._published.came)
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         node.subscribe(DIAGNOSTICS, self._latched.put)
@@ -58,6 +60,10 @@ class Subscriptions:
             # wait.
             lasting = self._reader.lasting(topic)
             node.subscribe(topic, self._waiting.put, recover=self._in_lockstep, history=lasting)
+
+    def _leave(self, session: str, topic: Topic) -> None:
+        is_last = self._published.gone(session, topic)
+        self._gone.put((session, topic, is_last, time.monotonic()))
 
     @property
     def infos(self) -> Mapping[str, Any]:
@@ -109,12 +115,15 @@ class Subscriptions:
         if timeout_s and not parts and not self._in_lockstep:
             for sensor, assembler in self._reader.assemblers.items():
                 self._put(sensor, assembler.release())
+        for name, (sensor, part) in self._reader.parts.items():
+            if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:
+                self.health.books[sensor].instead = self._published.instead(name)
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
     def _take_all(self, parts: list[Received]) -> None:
         while not self._gone.empty():
-            session, topic = self._gone.get()
-            self._holders.leave(topic.name, session)
+            session, topic, is_last, gone_s = self._gone.get()
+            self._holders.leave(topic.name, session, last=is_last, now_s=gone_s)
             if topic in self._reader.latched:
                 self._reader.leave(session, topic)
         while not self._resets.empty():

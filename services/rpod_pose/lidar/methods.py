@@ -78,7 +78,7 @@ def make(task: Task) -> Methods:
 
 
 class ScanFrames:
-    """Separates scans: surroundings.methods.Frames."""
+    """Separates scans: surroundings.frames.Frames."""
 
     range_bias_m = 0.0
 
@@ -111,6 +111,12 @@ class ScanFrames:
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
         separated = self.separated(frame, labels, hides)
         return separated.model_copy(update={"hidden": hides})
+
+    def nearer(self, frame: LidarScan, ratio: float) -> LidarScan:
+        """Return a scan whose ranges are smaller by a ratio."""
+        points_m = np.asarray(frame.points_m / np.float32(ratio), np.float32)
+        points_m.setflags(write=False)
+        return frame.model_copy(update={"points_m": points_m})
 
     def part_of(self, part: LidarScan, whole: LidarScan) -> LidarScan:  # noqa: ARG002 - verified afterwards
         """Return a part of a scan."""

@@ -36,6 +36,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
+from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
@@ -123,6 +124,7 @@ class ScanModel:
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
+        step()
         return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self.assumed))
 
     @property

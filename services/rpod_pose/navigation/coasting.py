@@ -1,7 +1,8 @@
 """A track without measurements is predicted until its covariance exceeds the alert limit; then it is lost.
 
 The limit is that of the sensor whose frame the track has accepted last. Below it, the prediction is as good
-as the mission asks of an estimate. A time-out would not tell that.
+as the mission asks of an estimate. A time-out would not tell that. A track with measurements goes on beyond
+the limit, but its estimates are told as of no use.
 """
 
 from dataclasses import replace
@@ -49,14 +50,35 @@ class Coasting:
             unknown_s=self._limits.silence_timeout_s,
         )
 
+    def of_no_use(self, state: NavigatorState, stamp_ns: int) -> str:
+        """Return how the covariance of the estimate at a stamp exceeds the alert limit; empty if it does not.
+
+        Of several sensors that support the track the greatest limit counts, as for the integrity.
+        """
+        if not state.mode.has_track or state.history is None:
+            return ""
+        newest = state.history.state
+        predicted = predict(newest, max(stamp_ns, newest.stamp_ns), self._config)
+        names = [
+            name
+            for name, stream in state.streams.items()
+            if stream.supports(stamp_ns, self._limits.coasting_after_s, self._limits.silence_timeout_s)
+        ]
+        told = [_beyond(self._alerts[name], predicted) for name in names]
+        return told[0] if told and all(told) else ""
+
     def _beyond(self, state: NavigatorState, predicted: FilterState) -> str:
-        """Return how the covariance exceeds the alert limit; empty if it does not."""
         alert = next((self._alerts[name] for name in supporters(state.streams)), AlertLimit())
-        covariance = predicted.covariance[POSE, POSE]
-        sigma_m, sigma_deg = worst_sigma(covariance[:3, :3]), degrees(worst_sigma(covariance[3:, 3:]))
-        limit_m = alert.position_limit_m(float(np.linalg.norm(predicted.T_chaser_target.translation)))
-        if sigma_deg > alert.attitude_deg:
-            return f"sigma of the attitude {sigma_deg:.1f} deg, alert limit {alert.attitude_deg:g} deg"
-        if sigma_m > limit_m:
-            return f"sigma of the position {1e3 * sigma_m:.0f} mm, alert limit {1e3 * limit_m:.0f} mm"
-        return ""
+        return _beyond(alert, predicted)
+
+
+def _beyond(alert: AlertLimit, predicted: FilterState) -> str:
+    """Return how a covariance exceeds an alert limit; empty if it does not."""
+    covariance = predicted.covariance[POSE, POSE]
+    sigma_m, sigma_deg = worst_sigma(covariance[:3, :3]), degrees(worst_sigma(covariance[3:, 3:]))
+    limit_m = alert.position_limit_m(float(np.linalg.norm(predicted.T_chaser_target.translation)))
+    if sigma_deg > alert.attitude_deg:
+        return f"sigma of the attitude {sigma_deg:.1f} deg, alert limit {alert.attitude_deg:g} deg"
+    if sigma_m > limit_m:
+        return f"sigma of the position {1e3 * sigma_m:.0f} mm, alert limit {1e3 * limit_m:.0f} mm"
+    return ""

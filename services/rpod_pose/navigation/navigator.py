@@ -30,6 +30,7 @@ from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
 from rpod_pose.navigation.first_pose.results import SearchResults
 from rpod_pose.navigation.first_pose.searches import (
     BEGUN,
+    FOUND,
     SEARCHED,
     SEARCHING,
     Found,
@@ -137,7 +138,7 @@ class Navigator:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         if state.mode == Mode.TRACKING and not began.has_track:  # it is offered to the other sensors
             state = replace(state, searches={})
-        return state, output
+        return state, self._judged(state, output)
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
@@ -181,7 +182,25 @@ class Navigator:
         """Return the state and the output at the stamp of a frame without content of its own."""
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
-        return self._results.silent(aged, stamp_ns, reason, sensor=sensor)
+        state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
+        return state, self._judged(state, output)
+
+    def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
+        """Return what is told of a search whose result waits for the next frame of its sensor.
+
+        The state stays as it is, so that a replay needs to know nothing of it.
+        """
+        found_one, registration = found.acquisition.begins_track, found.acquisition.registration
+        reason = "" if found_one else found.acquisition.belief.refusal or search.reason
+        told = FOUND if found_one else ""
+        output = self._output(state, search.event, registration, reason=reason, search=told)
+        return output.noting(BEGUN, 1.0)
+
+    def _judged(self, state: NavigatorState, output: Output) -> Output:
+        """Return an output with what its covariance says of its use."""
+        if output.odometry is None:
+            return output
+        return replace(output, of_no_use=self._coasting.of_no_use(state, output.odometry.stamp_ns))
 
     # --- searches ---
 
@@ -191,8 +210,9 @@ class Navigator:
         if found is not None:
             return self._conclude(state, search, found)
         state = state.searching(replace(search, waited=1))
-        reason = f"{search.reason}; {SEARCHED}" if search.registration else SEARCHED
-        return state, self._output(state, search.event, search.registration, reason=reason).noting(BEGUN, 1.0)
+        reason = search.reason if search.registration else ""
+        output = self._output(state, search.event, search.registration, reason=reason, search=SEARCHED)
+        return state, output.noting(BEGUN, 1.0)
 
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Take the result of a search, at the stamp of the searched frame."""
@@ -213,7 +233,7 @@ class Navigator:
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess."""
         if waiting := self._waiting(state, event):
-            return state, self._output(state, event, reason=waiting)
+            return state, self._output(state, event, search=waiting)
         if self._rests(state, event):
             return state, self._output(state, event, reason=RESTS)
         angles = self._registrar.angles(state.joints, event)
@@ -272,9 +292,13 @@ class Navigator:
         if reason and not (tracked and self._registrar.is_confident(predicted)):
             # While no twist is known, or after a gap, the prediction may be far off.
             if waiting := self._waiting(state, event):
-                return state, self._output(state, event, registration, reason=f"{reason}; {waiting}")
+                return state, self._output(state, event, registration, reason=reason, search=waiting)
             search = self._registrar.around(state.joints, event, predicted)
-            return self._ask(state, replace(search, registration=registration, reason=reason))
+            search = replace(search, registration=registration, reason=reason)
+            if not state.established:  # a given pose that its first frame does not show
+                state = replace(state, mode=Mode.ACQUIRING, history=None)
+                search = replace(search, frame=event.data)
+            return self._ask(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
 
     def _registered(
@@ -362,7 +386,7 @@ class Navigator:
             state = self._beginning.at_found(state, event, registration)
             return state, self._output(state, event, registration)
         if waiting := self._waiting(state, event):
-            return state, self._output(state, event, reason=waiting)
+            return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
         everywhere = None if self._rests(state, event) else event.data
         return self._ask(state, replace(search, frame=everywhere, reason=RESTS))

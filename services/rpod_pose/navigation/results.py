@@ -41,6 +41,7 @@ class Results:
         registration: Registration | None = None,
         *,
         reason: str = "",
+        search: str = "",
         nis: float = float("nan"),
         found: Acquisition | None = None,
     ) -> Output:
@@ -51,9 +52,11 @@ class Results:
             event: the measurement.
             registration: what the sensor's method found; None if none was asked.
             reason: why the pose was not accepted; empty if it was.
+            search: what is told of a search of the sensor's frames; empty for nothing.
             nis: normalised innovation squared; NaN if the filter was not asked.
             found: the result of a search without a guess, where one was made.
         """
+        told = "; ".join(filter(None, (reason, search)))
         measured = registration or Registration(Source.NONE)
         hypotheses = self._hypotheses(state, event, found)
         status = EstimatorStatus(
@@ -62,8 +65,8 @@ class Results:
             mode=state.mode,
             source=measured.source,
             sensor=event.sensor,
-            accepted=not reason,
-            reason=reason,
+            accepted=not told,
+            reason=told,
             cost_m2=measured.cost_m2,
             nis=nis,
             inliers=measured.inliers,
@@ -78,13 +81,13 @@ class Results:
                 **(evidence_of(state.history.state) if state.history else {}),
             },
         )
-        marks = measured.belief.marks if reason else None
+        marks = measured.belief.marks if told else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
-        used = registration if odometry and not reason else None
-        doubt = "" if reason else measured.belief.reason
-        return Output(status, odometry, refused, joints, doubt=doubt, measured=used)
+        used = registration if odometry and not told else None
+        doubt = "" if told else measured.belief.reason
+        return Output(status, odometry, refused, joints, doubt=doubt, measured=used, search=search)
 
     def silent(
         self, state: NavigatorState, stamp_ns: int, reason: str, *, sensor: str = ""

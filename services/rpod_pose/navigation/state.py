@@ -93,6 +93,22 @@ class Output:
     """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was
     refused."""
 
+    search: str = ""
+    """What is told of a search of the sensor's frames: the end of the status's reason; empty for nothing."""
+    of_no_use: str = ""
+    """How the covariance of the odometry exceeds the alert limit; empty if it does not."""
+
+    @property
+    def why(self) -> str:
+        """Reason of the status without what is told of a search."""
+        reason = self.status.reason
+        return reason.removesuffix(self.search).removesuffix("; ") if self.search else reason
+
+    def explained(self, why: str) -> "Output":
+        """Return this output with another reason, before what is told of a search."""
+        reason = "; ".join(filter(None, (why, self.search)))
+        return replace(self, status=self.status.model_copy(update={"reason": reason}))
+
     def because(self, why: str) -> "Output":
         """Return this output with a reason before its own."""
         reason = f"{why}; {self.status.reason}"

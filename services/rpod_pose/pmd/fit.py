@@ -26,6 +26,7 @@ from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import PoseArrays, turned
+from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array
@@ -231,6 +232,7 @@ class PmdFitter:
 
     def fit(self, R: FloatArray, t: FloatArray) -> PmdFit:
         """Return the loss of the pose R, t of the target in the sensor."""
+        step()
         return PmdFit(*compare(self._compared, R, t))
 
     def outline_refined(

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
+from rpod_pose.unwanted import step
 from rpod_schemas.types import SensorFrame, Source
 
 
@@ -43,6 +44,7 @@ class VerifiedSearch:
         accepted: list[Registration] = []
         refused: list[Registration] = []
         for candidate in found.poses:
+            step()
             registration = self._tracker.track(measurement, candidate.T_sensor_target)
             if not registration.begins_track:
                 refused.append(registration)

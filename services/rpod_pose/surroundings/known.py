@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.errors import PoseError
 from rpod_pose.surroundings.bodies import KnownBodies
-from rpod_pose.surroundings.methods import Frames
+from rpod_pose.surroundings.frames import Frames
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.base import load

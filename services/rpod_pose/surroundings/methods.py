@@ -1,7 +1,7 @@
 """A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
 
 from dataclasses import replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +9,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.surroundings.frames import Frames, FrameT
+from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
-from rpod_schemas.types import Float32Array, SensorFrame, Source
+from rpod_pose.unwanted import step
+from rpod_schemas.types import Source
 from rpod_target import Target
-
-FrameT = TypeVar("FrameT", bound=SensorFrame)
 
 MARGINS = 0.2, 0.06, 0.015
 """Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
@@ -54,55 +55,13 @@ OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
 MARGIN = "separation_margin"
 """Name of the evidence that says with which of the margins a pose was found."""
+OTHER_UNIT = (
+    "the pose is a part of a larger thing, which looks like the target itself if all depths are divided by "
+    "{:g}: check the unit of the ranges, of a camera source.depth_unit_m"
+)
+"""Reason for which a part of a larger thing is not the target."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
-
-
-class Frames(Protocol[FrameT]):
-    """Ranges of a sensor kind's frames, and frames without other things."""
-
-    @property
-    def range_bias_m(self) -> float:
-        """Standard deviation of the error that all ranges of a frame share."""
-        ...
-
-    def image(self, frame: FrameT, *, fine: bool) -> RangeImage | None:
-        """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
-        ...
-
-    def separated(self, frame: FrameT, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> FrameT:
-        """Return a frame in which each ray has become what its label says.
-
-        Args:
-            frame: the frame.
-            labels: ``Label`` of each ray of its fine image, shape (rows, columns).
-            inside: rays that must meet the target, same shape.
-        """
-        ...
-
-    def behind_bodies(self, frame: FrameT, hides: NDArray[np.bool_]) -> FrameT:
-        """Return a frame that tells nothing where known bodies are.
-
-        Args:
-            frame: the frame.
-            hides: rays of its fine image on known bodies, shape (rows, columns).
-        """
-        ...
-
-    def part_of(self, part: FrameT, whole: FrameT) -> FrameT:
-        """Return a separated frame from which ``whole_of`` may get the whole one.
-
-        A tracker inside a search then verifies a pose in the whole frame.
-        """
-        ...
-
-    def whole_of(self, frame: FrameT) -> FrameT | None:
-        """Return the whole frame of a part that ``part_of`` made; None where it is not kept."""
-        ...
-
-    def every_range_m(self, frame: FrameT) -> Float32Array:
-        """Return the range of each pixel or ray of a frame, 0 without one, shape (rows, columns)."""
-        ...
 
 
 class TrackerAmongThings(Generic[FrameT]):
@@ -185,6 +144,7 @@ class TrackerAmongThings(Generic[FrameT]):
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration that gave the pose, if the same frame did.
         """
+        step()
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
         share, *narrower = margins
@@ -303,7 +263,29 @@ class AcquirerAmongThings(Generic[FrameT]):
                 return _contradicted(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
+        if accepted is not None and (ratio := self._ratio_of_units(measurement, image, accepted)):
+            return _contradicted(accepted, OTHER_UNIT.format(ratio))
         return accepted or best
+
+    def _ratio_of_units(self, measurement: FrameT, image: RangeImage, found: Acquisition) -> float:
+        """Return the ratio of a unit in which a larger thing around a pose is the target; 0 if it is none."""
+        frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
+        assert found.pose is not None  # noqa: S101 - it is accepted
+        for ratio, thing in other_units(image, radius_m, found.pose.translation):
+            scaled = frames.nearer(measurement, ratio)
+            if self._in_part(scaled, nearer(image, ratio), thing).outcome is not Outcome.FAILED:
+                return ratio
+        return 0.0
+
+    def _in_part(self, measurement: FrameT, image: RangeImage, thing: NDArray[np.bool_]) -> Acquisition:
+        """Return the acquisition of one thing in a frame, given by its rays, shape (rows, columns)."""
+        target = self._tracker.target
+        if self._tracker.cluttered(measurement) is None:
+            return self._acquirer.acquire(measurement)
+        fine = self._tracker.frames.image(measurement, fine=True)
+        assert fine is not None  # noqa: S101 - the coarse image is known
+        labels = around_place(image, fine, thing, target.radius_m)
+        return self._searched(measurement, fine, labels, None)
 
     def _searched(
         self, measurement: FrameT, fine: RangeImage, labels: NDArray[np.uint8], pose: RigidTransform | None

@@ -62,7 +62,7 @@ def places(
             yield within
         return
     found = []
-    for surface in _surfaces(image, free, radius_m):
+    for surface in surfaces(image, free, radius_m):
         some = [
             place
             for place in _of_size(image, points_m, surface, radius_m)
@@ -102,8 +102,8 @@ def _walls(image: RangeImage, on_plane: NDArray[np.bool_], radius_m: float) -> I
     the size of each surface on it counts. Where the largest one is a wall, what is left of the plane are
     pieces of this wall between other things.
     """
-    surfaces = sorted(_surfaces(image, on_plane, radius_m), key=np.count_nonzero, reverse=True)
-    for number, surface in enumerate(surfaces):
+    pieces = sorted(surfaces(image, on_plane, radius_m), key=np.count_nonzero, reverse=True)
+    for number, surface in enumerate(pieces):
         points_m = image.points_m[surface]
         extent_m = 2.0 * np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)
         if np.quantile(extent_m, 0.9) > LARGER * radius_m:
@@ -124,7 +124,7 @@ def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) 
     return on_plane
 
 
-def _surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
+def surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
     """Return the connected surfaces among some rays, shape (rows, columns) each."""
     range_m, index = image.range_m, np.arange(free.size).reshape(free.shape)
     pairs = []
@@ -150,7 +150,7 @@ def _of_size(
     from outside. Bulky parts are what is left without thin limbs.
     """
     whole = _fits(points_m[surface], radius_m)
-    if whole and not _at_border(surface):
+    if whole and not at_border(surface):
         yield surface
         return
     distance_m = float(np.median(image.range_m[surface]))
@@ -167,7 +167,7 @@ def _of_size(
         yield surface
 
 
-def _at_border(surface: NDArray[np.bool_]) -> bool:
+def at_border(surface: NDArray[np.bool_]) -> bool:
     """Return whether a surface, shape (rows, columns), reaches the border of the image."""
     return bool(surface[0].any() or surface[-1].any() or surface[:, 0].any() or surface[:, -1].any())
 

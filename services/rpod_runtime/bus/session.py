@@ -139,7 +139,7 @@ def open_client(bus: BusConfig, *, zenoh_id: str = "", stop: Event | None = None
                 raise RefusedByRouterError(bus.connect, refused) from error
             is_over = waited_s >= bus.connect_timeout_s and tries >= _LEAST_TRIES
             if stop.is_set() or (not bus.wait and is_over):
-                raise NoRouterError(bus.connect, waited_s, zenoh_id) from error
+                raise NoRouterError(bus.connect, waited_s, zenoh_id, stopped=stop.is_set()) from error
         if time.monotonic() - reminded_s > _REMIND_S:
             reminded_s = time.monotonic()
             hint = why_refused(bus) or "start one with 'rpod router'"
@@ -194,7 +194,12 @@ def open_router(config: RouterConfig) -> zenoh.Session:
     try:
         return zenoh.open(zenoh_config)
     except zenoh.ZError as error:
-        raise EndpointError(config.listen, str(error).split(" at /")[0]) from error
+        raise EndpointError(config.listen, _without_places(str(error))) from error
+
+
+def _without_places(text: str) -> str:
+    """Return the cause in an error of Zenoh, which is in brackets, without places in Zenoh's source."""
+    return text.split(" at /", maxsplit=1)[0].split(": [", 1)[-1]
 
 
 def _router_tls(config: RouterConfig) -> dict[str, Any] | None:

@@ -64,6 +64,10 @@ class _Topic:
     gaps_s: deque[float] = field(default_factory=lambda: deque(maxlen=9))
     others: dict[Peer, float] = field(default_factory=dict)
     """Publishers that do not hold the topic, and when each was last heard."""
+    left: Peer | None = None
+    """The holder whose token has vanished: large messages may arrive behind that, and frames may still wait.
+    For ``SILENT_S`` they do not make it the holder again."""
+    left_s: float = 0.0
 
     def holds(self, now_s: float) -> bool:
         """Return whether there is a holder that is not silent."""
@@ -80,6 +84,11 @@ class Holders:
     def admit(self, name: str, peer: Peer, now_s: float) -> None:
         """Note a message; raise ``SecondPublisherError`` if another publisher holds the topic."""
         topic = self._topics.setdefault(name, _Topic())
+        if topic.left == peer:
+            if now_s <= topic.left_s + SILENT_S:
+                self.check(name, peer, now_s)
+                return
+            topic.left = None
         if topic.holder == peer:
             topic.gaps_s.append(max(now_s - topic.heard_s, 0.0))
             topic.heard_s = now_s
@@ -102,6 +111,8 @@ class Holders:
             topic.heard_s = max(topic.heard_s, now_s)
             return
         self.check(name, peer, now_s)
+        if topic.left == peer:
+            return
         topic.others.pop(peer, None)
         if topic.holder is not None:
             topic.others[topic.holder] = topic.heard_s
@@ -115,12 +126,22 @@ class Holders:
         if holder is not None and holder != peer:
             raise SecondPublisherError(name, holder, peer)
 
-    def leave(self, name: str, session: str) -> None:
-        """Note that the publisher of a session is gone: its liveliness token is."""
+    def leave(self, name: str, session: str, *, last: bool = False, now_s: float = 0.0) -> None:
+        """Note that the publisher of a session is gone: its liveliness token is.
+
+        Args:
+            name: name of the topic.
+            session: Zenoh identity of the session.
+            last: whether no other publisher of the topic has a token. Then a holder whose session is unknown
+                is gone too: messages of rmw_zenoh do not name it.
+            now_s: when the token vanished.
+        """
         topic = self._topics.get(name)
         if topic is None:
             return
-        if topic.holder is not None and topic.holder.session == session:
+        gone = {session, ""} if last else {session}
+        if topic.holder is not None and topic.holder.session in gone:
+            topic.left, topic.left_s = topic.holder, now_s
             topic.holder = None
         topic.others = {peer: heard_s for peer, heard_s in topic.others.items() if peer.session != session}
 

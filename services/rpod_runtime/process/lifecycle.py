@@ -68,8 +68,9 @@ def run(
         log.info("%s", error)
         return EXIT_OK
     except NoRouterError as error:
-        log.error("%s", error)
-        return EXIT_OK if stop.is_set() else EXIT_FAILURE  # stopped while it waited
+        stopped = stop.is_set()  # while it waited
+        log.log(logging.INFO if stopped else logging.ERROR, "%s", error)
+        return EXIT_OK if stopped else EXIT_FAILURE
     except (BusError, SecurityError) as error:
         log.error("%s", error)
         return EXIT_FAILURE

@@ -21,6 +21,7 @@ from checked_sensors import (
 )
 from scipy.spatial.transform import Rotation
 
+from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.geometry import Fitted
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
@@ -33,6 +34,26 @@ BESIDE_TRUTH = ("stamp_start", "biased", "mirrored", "mount_off")
 """Faults of a camera that show only beside truth."""
 OF_CAMERA = [fault.name for fault in FAULTS if "pmd" in fault.kinds and fault.name not in BESIDE_TRUTH]
 OF_SCANNER = [fault.name for fault in FAULTS if "lidar" in fault.kinds and fault.needs != "truth"]
+
+
+def test_without_any_frame_the_cause_comes_first_and_the_rest_in_one_line(capsys):
+    results = judge(Observer("pmd", "pmd", Options()).end(EPOCH_NS))
+    show(results)
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert lines[1].startswith("publisher  fail")
+    assert "no depth of 'pmd' came" in lines[1]
+    unchecked = sum(each.level is Level.UNCHECKED for each in results)
+    assert unchecked > 10
+    assert lines[-1].split() == [
+        "others",
+        "not",
+        "checked",
+        str(unchecked),
+        "further",
+        "checks",
+        "need",
+        "frames",
+    ]
 
 
 def at(results: list[CheckResult], line: str) -> CheckResult:

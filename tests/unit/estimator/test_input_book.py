@@ -123,7 +123,7 @@ def test_a_sensor_that_never_sends_is_told():
     book = SensorBook("pmd", "depth", now_s=0.0)
     assert book.state(1.0).level == Health.OK
     state = book.state(5.0)
-    assert state == (Health.WARN, "pmd: no frame yet in 5 s; is its driver running, under this name?")
+    assert state == (Health.WARN, "pmd: no frame yet in 5 s; is its driver running?")
     book.note_others(4.0)
     assert "no depth for 5 s, only other parts" in book.state(5.0).text
 

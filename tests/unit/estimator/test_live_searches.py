@@ -1,18 +1,26 @@
 """Searches beside a live estimator: one a sensor, cancelled when nobody waits, limited when unsuccessful."""
 
+from multiprocessing import Pipe
+
 import numpy as np
 import pytest
+from navigator_rig import SECOND_NS, registration
 from pmd_frames import depth_frame, frame_of
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_estimator.estimator import Estimator
+from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
 from rpod_estimator.search_process import SearchProcess, found_as_in_process, packed
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
-from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
-from rpod_schemas.config.estimator import PmdInput
+from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, RESTING, Found, Search
+from rpod_pose.ports import Acquisition, Candidate, Candidates, Registration
+from rpod_pose.search.verified_search import VerifiedSearch
+from rpod_pose.unwanted import UnwantedError, unless
+from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, Source
 from rpod_target import load_target
 
 WALL = frame_of(5.0, camera=Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5))
@@ -72,6 +80,41 @@ def test_a_search_that_nobody_waits_for_is_cancelled():
     assert desk.worker.began == [1, 2]
 
 
+def test_a_result_that_waits_for_a_frame_is_told_once_and_handed_out_later():
+    desk, asked = Desk(), search(1)
+    assert desk.live.untold("pmd") is None
+    desk.live.result(asked)
+    assert desk.live.untold("pmd") is None, "it runs"
+    desk.worker.found = NOTHING
+    assert desk.live.untold("pmd") == (asked, NOTHING)
+    assert desk.live.untold("pmd") is None
+    assert desk.live.result(asked) is NOTHING
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [(NOTHING, "no target"), (Found(Acquisition(registration(make_pose()))), FOUND)],
+)
+def test_a_single_frame_is_told_what_its_search_has_found(found, reason):
+    config = EstimatorConfig(target="mockup", sensors=(PmdInput(),))
+    desk = Desk()
+    estimator = Estimator(config, load_target("mockup"), desk.live.of)
+    seen = Measurement("pmd", WALL, make_pose())
+    asked = estimator.process(Arrived("pmd", WALL.stamp_ns, 0.0, seen))
+    assert asked.status.evidence == {BEGUN: 1.0}
+    before = estimator._state
+    desk.worker.found = found
+    soon_ns, late_ns = WALL.stamp_ns + 2 * SECOND_NS, WALL.stamp_ns + 3 * SECOND_NS
+    assert list(estimator.untold(soon_ns, desk.live)) == [], "the next frame may come yet"
+    (told,) = estimator.untold(late_ns, desk.live)
+    assert told.status.reason.startswith(reason)
+    assert told.status.stamp_ns == WALL.stamp_ns
+    assert not told.status.accepted
+    assert told.status.evidence[BEGUN] == 1.0, "a replay knows by it when the search began"
+    assert estimator._state is before
+    assert list(estimator.untold(late_ns, desk.live)) == []
+
+
 def test_another_search_takes_the_place_of_the_one_that_runs():
     desk = Desk()
     desk.live.result(search(1))
@@ -127,6 +170,33 @@ def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself
         assert awaited(process).acquisition.pose is not None, "the dropped result is not this one's"
     finally:
         process.end()
+
+
+def test_a_search_that_nobody_waits_for_ends_at_its_next_step():
+    ours, theirs = Pipe()
+    wanted = iter((True, True, False))
+
+    class Tracker:
+        asked = 0
+
+        def track(self, *_: object) -> Registration:
+            self.asked += 1
+            if not next(wanted):
+                ours.send_bytes(b"cancel")
+            return Registration.none(Source.NONE, "nothing to see")
+
+    class Candidates8:
+        def search(self, _: object) -> Candidates:
+            return Candidates((Candidate(make_pose(), 0.0),) * 8)
+
+    tracker = Tracker()
+    acquirer = VerifiedSearch(Candidates8(), tracker, "first")
+    with pytest.raises(UnwantedError), unless(theirs.poll):
+        acquirer.acquire(WALL)
+    assert tracker.asked == 3
+    wanted = iter([True] * 8)
+    acquirer.acquire(WALL)
+    assert tracker.asked == 11, "without anybody to lose interest all candidates are tried"
 
 
 def test_a_process_that_ends_is_told_and_started_again_after_pauses_that_grow(caplog):

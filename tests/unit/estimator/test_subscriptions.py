@@ -75,8 +75,8 @@ class FakeNode:
         self.recovered[topic] = recover
         self.past[topic] = history
 
-    def watch_publishers(self, gone):
-        self.gone = gone
+    def watch_publishers(self, gone, came):
+        self.gone, self.came = gone, came
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -494,6 +494,21 @@ def test_a_successor_with_the_same_mount_goes_on_without_a_word(stage, gone):
     assert told(stage.bench, stage.now_s)[0] == Health.OK
 
 
+@pytest.mark.parametrize("alone", [True, False], ids=["it was the last", "another one is there"])
+def test_a_publisher_whose_messages_name_no_session_is_gone_with_the_last_token_of_its_topic(alone):
+    bench, first, second = Bench(), Peer(b"1" * 16), Peer(b"2" * 16)
+    streams = [topic.of("pmd") for topic in (DEPTH, CAMERA_INFO, AMPLITUDE)]
+    for topic in streams:
+        for session in ("one",) if alone else ("one", "other"):
+            bench.node.came(session, topic)
+    bench.send_frame(NOW_NS, by=first)
+    assert not bench.arrived()[0].reason
+    for topic in streams:
+        bench.node.gone("one", topic)
+    bench.send_frame(NOW_NS + 1, by=second)
+    assert [not frame.reason for frame in bench.arrived()] == ([True] if alone else [])
+
+
 @pytest.mark.parametrize("successor", [EMULATOR, DRIVER], ids=["the same publisher", "a successor"])
 def test_another_mount_is_not_used_while_tracked_until_a_reset(stage, successor):
     if successor != EMULATOR:
@@ -883,3 +898,25 @@ def test_drift_of_a_clock_is_seen_through_the_delays():
         watch.add(round((100.0 + second * (1.0 + 50e-6) - delay_s) * 1e9), round((100.0 + second) * 1e9))
     assert watch.drift_ppm == pytest.approx(50.0, abs=15.0)
     assert watch.age_s == pytest.approx(0.003 - 29 * 50e-6, abs=0.001)
+
+
+def test_a_sensor_that_never_sends_is_told_with_what_is_awaited_and_what_is_published_instead():
+    bench = Bench()
+
+    def said() -> str:
+        bench.arrived()
+        return bench.inputs.health.books["pmd"].state(monotonic() + 5.0).text
+
+    awaited = DEPTH.of("pmd").name
+    assert f"{awaited} is awaited, and no sensor's topic is published" in said()
+    other = DEPTH.of("front")
+    bench.node.came("one", other)
+    bench.node.came("one", DIAGNOSTICS)
+    assert f"{awaited} is awaited, published are {other.name}; set" in said()
+    bench.node.came("one", DEPTH.of("pmd"))
+    assert f"{awaited} has a publisher that sends nothing" in said()
+    bench.node.gone("one", other)
+    bench.node.gone("one", DEPTH.of("pmd"))
+    assert "no sensor's topic is published" in said()
+    bench.send_frame(NOW_NS)
+    assert "awaited" not in said()

@@ -44,6 +44,26 @@ def test_a_slow_sensor_keeps_its_topic_between_two_scans():
     assert hear(holders, SECOND, 25.1)
 
 
+def test_the_last_frames_of_a_publisher_that_is_gone_do_not_keep_its_successor_out():
+    holders = Holders()
+    assert hear(holders, FIRST, 1.0)
+    holders.admit("topic", FIRST, 1.9)  # waits while its publisher ends
+    holders.leave("topic", FIRST.session, now_s=2.0)
+    holders.hold("topic", FIRST, 1.9)
+    assert hear(holders, FIRST, 2.05), "it is still used"
+    assert hear(holders, SECOND, 2.1)
+    assert [*holders.rivals(2.1)] == [], "nobody is told of two publishers"
+
+
+def test_a_publisher_whose_token_was_gone_for_a_while_holds_its_topic_again():
+    holders = Holders()
+    assert hear(holders, FIRST, 1.0)
+    holders.leave("topic", FIRST.session, now_s=2.0)
+    assert hear(holders, FIRST, 2.1)
+    assert hear(holders, FIRST, 4.1)
+    assert not hear(holders, SECOND, 4.2)
+
+
 def test_what_is_remembered_of_publishers_is_bounded():
     holders, announcements = Holders(), Announcements[int]()
     assert hear(holders, FIRST, 0.0)

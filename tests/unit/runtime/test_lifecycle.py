@@ -14,7 +14,7 @@ BODY = """
 import signal, sys
 from threading import Event
 from rpod_runtime.process import lifecycle
-from rpod_runtime.errors import EndpointError
+from rpod_runtime.errors import EndpointError, NoRouterError
 from rpod_schemas.errors import ConfigurationError
 
 def body(stop):
@@ -86,6 +86,8 @@ def test_a_supervised_process_ends_with_its_supervisor():
 @pytest.mark.parametrize(
     ("error", "code", "says"),
     [
+        ("stop.set() or NoRouterError('tcp/x', 1.0, stopped=True)", 0, "INFO    test: stopped after"),
+        ("NoRouterError('tcp/x', 1.0)", 1, "ERROR   test: no router at tcp/x"),
         ("ConfigurationError('file', 'field', 'is wrong')", 2, "file: field: is wrong"),
         ("EndpointError('tcp/x', 'taken')", 1, "tcp/x"),
         ("ValueError('unexpected')", 1, "Traceback"),

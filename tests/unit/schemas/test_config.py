@@ -147,3 +147,7 @@ def test_the_estimator_of_a_scenario_listens_to_all_sensors_if_it_names_none():
 def test_a_scenario_without_usable_sensors_names_them(sensors):
     with pytest.raises(ValidationError, match="sensors"):
         Scenario.model_validate(SCENARIO | {"sensors": sensors})
+
+
+def test_a_scenarios_title_may_be_short():
+    assert Scenario.model_validate(SCENARIO | {"title": "A"}).title == "A"

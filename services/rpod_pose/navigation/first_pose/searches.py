@@ -21,12 +21,12 @@ from rpod_pose.ports import Acquisition, Angle, Methods, Registration
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, Source
 
-WAITS = "searching: "
-"""Beginning of the reasons for which a frame is not used while a search runs."""
-SEARCHING = WAITS + "the result of the frame {:.2f} s ago is awaited"
+SEARCHING = "searching: the result of the frame {:.2f} s ago is awaited"
 """Reason for which a frame is not used while another one of its sensor is searched."""
-SEARCHED = WAITS + "a search in this frame has begun"
+SEARCHED = "searching: a search in this frame has begun"
 """Reason for which a frame is not used yet: it is searched."""
+FOUND = "a pose was found, which the next frame has to verify"
+"""Reason for which the frame of a search is not used yet where no frame has come since."""
 RESTING = "not searched: searches in vain rest"
 """Reason for which a frame is not searched."""
 BEGUN = "search_begun"
@@ -84,11 +84,18 @@ class Found:
     acquisition: Acquisition
     nearby: bool = False
     """Whether it is that of the surroundings of ``Search.near``."""
+    rests: bool = False
+    """Whether the search was not made, because searches in vain rest."""
 
     @classmethod
     def nothing(cls, reason: str) -> "Found":
         """Return the result of a search that was not made."""
         return cls(Acquisition(Registration.none(Source.NONE, reason)))
+
+    @classmethod
+    def resting(cls) -> "Found":
+        """Return the result of a search that was not made because searches in vain rest."""
+        return cls(Acquisition(Registration.none(Source.NONE, RESTING)), rests=True)
 
 
 class Searches(Protocol):

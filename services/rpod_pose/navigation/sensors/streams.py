@@ -26,6 +26,13 @@ class Stream:
     accepted_ns: int | None = None
     """Newest stamp of a frame that the present track has accepted; None if there is none."""
 
+    def is_silent(self, stamp_ns: int, unknown_s: float) -> bool:
+        """Return whether no frame has come at a stamp although one was due; ``unknown_s`` as for a track."""
+        if self.heard_ns is None:
+            return False
+        late_s = unknown_s if self.period_ns is None else PERIODS * self.period_ns / NANOSECONDS
+        return (stamp_ns - self.heard_ns) / NANOSECONDS > late_s
+
     def supports(self, stamp_ns: int, at_least_s: float, unknown_s: float = 0.0) -> bool:
         """Return whether the newest accepted frame is new enough to support the track at a stamp.
 

@@ -126,7 +126,10 @@ def test_logs_at_one_range_are_refused(tmp_path):
     [
         ({"with_truth": False}, "no truth in the log"),
         ({"info": None}, "neither pmd/info nor the configuration gives modulation_frequency_hz"),
-        ({"name": "nose"}, "no frames of a PMD camera called 'pmd'"),
+        (
+            {"name": "nose"},
+            "called 'pmd'; its sensors are nose .pmd.: give --camera nose",
+        ),
         ({"target": None}, "names the target"),
         ({"target": "no-such-target"}, "no-such-target"),
         ({"camera": FOLDED}, "the lens distortion has no inverse"),

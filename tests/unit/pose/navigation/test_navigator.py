@@ -259,6 +259,25 @@ def test_a_coasting_track_is_lost_when_its_covariance_reaches_the_alert_limit(al
     assert output.status.reason.startswith(f"no measurement was accepted for {0.02 * number:.2f} s, sigma")
 
 
+@pytest.mark.parametrize(
+    ("alert", "reason"),
+    [
+        (
+            AlertLimit(attitude_deg=0.01, position_m=5.0),
+            "sigma of the attitude 0.2 deg, alert limit 0.01 deg",
+        ),
+        (AlertLimit(attitude_deg=30.0, position_m=0.001), "mm, alert limit 1 mm"),
+        (WIDE, ""),
+    ],
+)
+def test_a_track_whose_measurements_are_vaguer_than_the_alert_limit_is_of_no_use(alert, reason):
+    made = tracking(alert=alert)
+    output = made.see(good(START_S + 1.1))
+    assert output.status.mode == Mode.TRACKING
+    assert reason in output.of_no_use
+    assert bool(output.of_no_use) == bool(reason)
+
+
 def test_a_quiet_target_is_predicted_for_longer_than_a_restless_one():
     def coasted_s(filter_config):
         made, number = tracking(filter_config=filter_config), 0
@@ -385,6 +404,21 @@ def test_a_given_pose_that_the_first_frame_does_not_show_is_dropped(view):
     assert made.see(view(START_S)).status.mode == Mode.ACQUIRING
     assert made.see(good(START_S + 0.1)).status.mode == Mode.VERIFYING
     assert "acquire" in made.method.asked
+
+
+def test_a_given_pose_that_the_first_frame_does_not_show_is_searched_around_and_then_everywhere():
+    made = rig(pose=truth(START_S))
+    output = made.see(untracked(START_S))
+    assert made.method.asked == ["track", "near", "acquire", "refine"]
+    assert output.status.mode == Mode.VERIFYING
+    assert made.see(good(START_S + 0.1)).status.mode == Mode.TRACKING
+
+
+def test_what_the_search_around_a_given_pose_finds_is_verified_however_far_it_is():
+    made = rig(pose=truth(START_S))
+    far = wrong(START_S).tracked
+    assert made.see(replace(blind(START_S), nearby=(far,))).status.mode == Mode.VERIFYING
+    assert made.see(wrong(START_S + 0.1)).status.mode == Mode.TRACKING
 
 
 def test_a_given_pose_is_predicted_from_its_stamp():

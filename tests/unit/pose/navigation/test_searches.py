@@ -9,12 +9,13 @@ from navigator_rig import MOUNT, SECOND_NS, START_S, Method, View, blind, good, 
 from rpod_analysis.replay.recorded_searches import RecordedSearches
 from rpod_estimator.search_process import found_as_in_process
 from rpod_pose.measurement import Measurement, Tick
-from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, Found, Search
+from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, SEARCHED, Found, Search
 from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.state import Output
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
-from rpod_schemas.types import Mode
+from rpod_schemas.types import EstimatorStatus, Mode
 
 
 class Slow:
@@ -191,3 +192,14 @@ def test_a_tracked_frame_is_not_delayed_by_the_search_around_a_vague_prediction(
     missed = [rig.see(blind(START_S + 1.0 + 0.1 * number)) for number in range(1, 9)]
     assert any(BEGUN in output.status.evidence for output in missed)
     assert all(output.odometry is not None for output in missed if output.status.mode.has_track)
+
+
+def test_what_is_told_of_a_search_is_kept_apart_from_the_frames_own_reason():
+    words = "a sensor's own words; searching: nothing"
+    status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.LOST, reason=words)
+    told = Output(status, None)
+    assert (told.why, told.search) == (words, "")
+    both = replace(told, search=SEARCHED).explained(words)
+    assert both.status.reason == f"{words}; {SEARCHED}"
+    assert both.why == words
+    assert replace(told, search=SEARCHED).explained("").why == ""

@@ -8,16 +8,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_campaign.engine.trial.surroundings import surroundings
+from rpod_pose.belief import Belief
 from rpod_pose.methods import methods_of
 from rpod_pose.pmd.other_things import PmdFrames
-from rpod_pose.ports import Methods
+from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.surroundings import SensorSurroundings
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_schemas.types import Camera, PmdFrame
+from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -84,6 +85,39 @@ def test_nothing_is_found_and_nothing_tracked_in_a_laboratory_without_the_target
     empty = frame("laboratory", shown=False)
     assert not methods().acquirer.acquire(empty).begins_track
     assert not methods().tracker.track(empty, POSE).continues_track
+
+
+@cache
+def times(name: str, ratio: float) -> PmdFrame:
+    """Return a frame whose depths are in another unit."""
+    depth_m = (frame(name).depth_m * np.float32(ratio)).astype(np.float32)
+    depth_m.setflags(write=False)
+    return frame(name).model_copy(update={"depth_m": depth_m})
+
+
+@pytest.mark.parametrize(
+    ("name", "ratio", "told"),
+    [("none", 4.0, 4.0), ("none", 10.0, 10.0), ("none", 1.0, 0.0), ("laboratory", 1.0, 0.0)],
+)
+def test_a_part_of_what_is_the_target_in_another_unit_is_not_the_target(name, ratio, told):
+    """A pose at a part of the thing; in a laboratory the target is held by an arm."""
+    acquirer, frames = methods().acquirer._acquirer, PmdFrames()
+    seen = times(name, ratio)
+    pose = make_pose(rotation=POSE.rotation, translation_m=ratio * POSE.translation)
+    accepted = Acquisition(Registration(Source.PMD_JOINT, T_sensor_target=pose))
+    assert acquirer._ratio_of_units(seen, frames.image(seen, fine=False), accepted) == told
+
+
+def test_a_first_pose_that_is_a_part_of_a_larger_thing_names_the_unit(monkeypatch):
+    accepted = Acquisition(Registration(Source.PMD_JOINT, T_sensor_target=POSE, belief=Belief()))
+    acquirer = methods().acquirer._acquirer
+    monkeypatch.setattr(acquirer, "_searched", lambda *_: accepted)
+    monkeypatch.setattr(acquirer, "_among_rivals", lambda *_: accepted)
+    assert acquirer.acquire(frame("laboratory")).begins_track
+    monkeypatch.setattr(acquirer, "_ratio_of_units", lambda *_: 4.0)
+    found = acquirer.acquire(frame("laboratory"))
+    assert not found.begins_track
+    assert "if all depths are divided by 4: check the unit" in found.belief.refusal
 
 
 def test_a_ray_that_passes_where_the_target_should_be_contradicts_the_pose():

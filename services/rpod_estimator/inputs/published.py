@@ -1,0 +1,46 @@
+"""Topics that somebody publishes now, so that a sensor which never sends can be told what comes instead."""
+
+from threading import Lock
+
+from rpod_schemas.topics import Topic
+
+_MOST_TOPICS, _MOST_NAMED = 1_000, 6
+_SENSORS = "sensor_msgs/"
+"""Beginning of the types of a sensor's messages."""
+
+
+class Published:
+    """Publishers of sensors' topics, by their liveliness tokens. Safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, set[str]] = {}
+        self._lock = Lock()
+
+    def came(self, session: str, topic: Topic) -> None:
+        """Note a publisher."""
+        with self._lock:
+            known = topic.name in self._sessions or len(self._sessions) < _MOST_TOPICS
+            if topic.type.startswith(_SENSORS) and known:
+                self._sessions.setdefault(topic.name, set()).add(session)
+
+    def gone(self, session: str, topic: Topic) -> bool:
+        """Note that a publisher is gone; return whether it was the last known one of the topic."""
+        with self._lock:
+            sessions = self._sessions.get(topic.name, set())
+            was_there = session in sessions
+            sessions.discard(session)
+            if not sessions:
+                self._sessions.pop(topic.name, None)
+            return was_there and not sessions
+
+    def instead(self, awaited: str) -> str:
+        """Return what is published in place of an awaited topic, and what to do, for the operator."""
+        with self._lock:
+            names = sorted(self._sessions)
+        if awaited in names:
+            return f"{awaited} has a publisher that sends nothing; look at its driver"
+        if not names:
+            return f"{awaited} is awaited, and no sensor's topic is published; is its driver running?"
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        named = ", ".join(names[:_MOST_NAMED])
+        return f"{awaited} is awaited, published are {named}{more}; set the sensor's name or its source"

@@ -1,0 +1,62 @@
+"""Units of the depth in which a larger thing in a frame would be of the target's size.
+
+Where a driver gives its depths in another unit than the estimator is told, the target is a body that is
+larger by the ratio of both units, and a part of it may look like the target. An arm that holds the target, or
+a wall that touches it, makes a larger thing too, but in no other unit does this thing look like the target.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_pose.surroundings.places import LEAST_SIZE, at_border, surfaces
+from rpod_pose.surroundings.separation import BALL, RangeImage
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
+
+_UNITS_M = 1.0, 1e-3, 2.5e-4, 1e-4
+"""Units in which drivers give depths: of REP 118 (32FC1, 16UC1), and finer steps of devices (RealSense)."""
+_RATIOS = sorted({one / other for one in _UNITS_M for other in _UNITS_M if one > other})
+
+
+class OtherUnit(NamedTuple):
+    """A unit in which a thing would be of the target's size."""
+
+    ratio: float
+    """Factor by which the depths would be too large."""
+    thing: NDArray[np.bool_]
+    """Rays on the thing, shape (rows, columns)."""
+
+
+def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iterator[OtherUnit]:
+    """Yield units in which the thing around a place is of the target's size; none if it is as it is.
+
+    Args:
+        image: ranges of a frame.
+        radius_m: radius of the target's bounding sphere.
+        place_m: where a pose was found, sensor axes, shape (3,).
+    """
+    measured, points_m = image.range_m > 0.0, image.points_m
+    around = measured & (np.linalg.norm(points_m - place_m, axis=-1) < radius_m)
+    for ratio in _RATIOS:
+        # what is one thing depends on its size: the surfaces are those of the target in this unit
+        every = surfaces(nearer(image, ratio), measured, radius_m)
+        things = sorted(every, key=lambda rays: -np.count_nonzero(rays & around))[:1]
+        if len(every) > 1 and not at_border(whole := np.logical_or.reduce(every)):
+            things.append(whole)  # a part without a visible joint to the others stands apart
+        for thing in things:
+            extent_m = np.linalg.norm(points_m[thing] - np.median(points_m[thing], axis=0), axis=1)
+            most_m, usual_m = float(extent_m.max()), float(np.quantile(extent_m, 0.98))
+            fits = LEAST_SIZE * radius_m <= most_m / ratio and usual_m / ratio <= BALL * radius_m
+            if fits and usual_m > BALL * radius_m:
+                yield OtherUnit(ratio, thing)
+                break
+
+
+def nearer(image: RangeImage, ratio: float) -> RangeImage:
+    """Return an image whose ranges are smaller by a ratio."""
+    range_m: Float32Array = (image.range_m / np.float32(ratio)).astype(np.float32)
+    return replace(image, range_m=range_m)

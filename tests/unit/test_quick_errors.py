@@ -1,0 +1,29 @@
+"""Errors of arguments are told before the slow imports of what would use them."""
+
+import subprocess
+import sys
+
+import pytest
+
+SCRIPT = """
+import sys
+from typer.testing import CliRunner
+from rpod.target.verbs import target_verbs
+done = CliRunner().invoke(target_verbs, sys.argv[1:])
+slow = [name for name in ("numba", "scipy", "trimesh") if name in sys.modules]
+print(done.exit_code, slow, done.output)
+"""
+
+
+@pytest.mark.parametrize("verb", ["new", "check"])
+def test_a_file_that_is_not_there_is_told_before_anything_slow_is_imported(verb, tmp_path):
+    file = tmp_path / "missing.stl"
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, verb, str(file)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.startswith("2 [] ")
+    assert f"rpod target {verb}: {file}: cannot be read (No such file or directory)" in done.stdout
