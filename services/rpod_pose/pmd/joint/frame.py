@@ -14,6 +14,8 @@ from rpod_geometry.rays import GridArrays
 from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
+from rpod_pose.pmd.joint.fit import DepthErrors
+from rpod_pose.pmd.joint.wiggling import uneven_share
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
@@ -87,6 +89,9 @@ class JointFrame:
     """Variance of the points' weighted mean by this noise, times the sum of their weights."""
     spread_m2: float
     """Mean variance of this noise, by the points' weights."""
+    uneven_share: float
+    """Share of a wiggling's variance that differs between the ranges of the target's points; 0 without a
+    modulation frequency."""
     trust: FloatArray
     """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
@@ -147,6 +152,7 @@ class JointFrame:
         shade[_unknown_shade(frame, view)] = np.nan
         pixels_around, per_px = _rays_of(patch, view, around)
         frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
+        own = np.square(points_m - t).sum(axis=1) < radius_m**2
         return cls(
             view,
             range_m,
@@ -155,10 +161,11 @@ class JointFrame:
             typical,
             points_m,
             measured,
-            _away_m(points_m, t, radius_m),
+            _away_m(points_m[own], t),
             noise_m,
             float((trust * noise) @ (trust * noise)) / whole,
             float(trust @ noise**2) / whole,
+            uneven_share(range_m.ravel()[measured[own]], trust[own], frequencies_hz),
             trust,
             patch,
             pixels_around,
@@ -171,6 +178,15 @@ class JointFrame:
         """The camera, as the kernels take it."""
         camera = self.view.camera
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
+
+    def depth_errors(self, assumed: DepthErrors) -> DepthErrors:
+        """Return the assumed errors of the depth with what the frame tells of them.
+
+        ``bias_m`` is the wiggling of a camera. What the target's near and far end have not in common of it is
+        uneven.
+        """
+        uneven_m = math.hypot(assumed.uneven_m, assumed.bias_m * math.sqrt(self.uneven_share))
+        return assumed._replace(uneven_m=uneven_m, white_m2=self.white_m2, spread_m2=self.spread_m2)
 
     @property
     def pixels(self) -> CoarsePixels:
@@ -222,10 +238,9 @@ def _rays_of(patch: Patch, view: DepthView, around: _Window) -> tuple[GridArrays
     return view.rays(per_px).block(*window), per_px
 
 
-def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
+def _away_m(points_m: FloatArray, t: FloatArray) -> float:
     """Return the depth of what is seen of a target. Its origin may lie beside or behind a close camera."""
-    own = np.square(points_m - t).sum(axis=1) < radius_m**2
-    z_m = np.median(points_m[own, 2]) if own.any() else t[2]
+    z_m = np.median(points_m[:, 2]) if len(points_m) else t[2]
     return max(float(z_m), NEAR_M)
 
 

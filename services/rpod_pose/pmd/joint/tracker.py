@@ -217,7 +217,7 @@ class JointTracker:
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
     def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
-        errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
+        errors = seen.depth_errors(self._depth_errors)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
         edges = self._edge_errors._replace(px_per_m=seen.lens.fx / seen.away_m)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
