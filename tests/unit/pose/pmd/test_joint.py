@@ -8,6 +8,7 @@ from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
+from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_schemas.config.motion import FACING
@@ -113,6 +114,19 @@ def test_edges_go_on_alone_where_all_depth_is_lost() -> None:
         assert (registration.source, registration.belief.reason) == (Source.PMD_AMPLITUDE, "")
         errors.append(error(registration, T))
     assert_within(tuple(np.median(errors, axis=0)), 0.4, 0.01)
+
+
+def test_the_brightness_of_a_target_with_little_depth_is_told_by_its_amplitude() -> None:
+    whole = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    row, column = np.mgrid[:287, :352]
+    few = np.where((row % 40 < 4) & (column % 40 < 4), FRAME.depth_m, np.float32(np.nan))
+    dim = (FRAME.amplitude // 20 + 1).astype(np.uint16)  # the sky is 1
+    seen = FRAME.model_copy(update={"depth_m": few, "amplitude": dim})
+    found = JointFrame.of(seen, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(whole, JointFrame)
+    assert isinstance(found, JointFrame)
+    assert 0 < len(found.points_m) < JointConfig().tuning.acceptance.min_points
+    assert found.typical == found.patch.typical == pytest.approx(whole.patch.typical / 20.0 + 1.0, rel=0.1)
 
 
 @pytest.mark.parametrize("dark", [False, True])
