@@ -91,6 +91,8 @@ class EdgeErrors(NamedTuple):
     """Half length of the search in the last steps; edges count less while it is longer."""
     px_per_m: float = 0.0
     """Motion in the image by a motion across the sight, at the depth of what is seen."""
+    independent: float = 1.0
+    """Share of the samples whose errors count as independent: nearer ones in the image share their pixels."""
 
 
 class JointProblem(NamedTuple):
@@ -257,7 +259,7 @@ def _shares(problem: JointProblem, points: FieldEvidence, edges: EdgeEvidence, r
         of_points = 1.0 / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
     if edges.inliers > 0:
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
-        variance /= min(edge_errors.most_edges, edges.inliers)
+        variance /= min(edge_errors.most_edges, edge_errors.independent * edges.inliers)
         widened = (reach / edge_errors.reach_px) ** 4
         variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
         of_edges = 1.0 / (edges.inliers * widened * (variance + (depth.slack_m * edge_errors.px_per_m) ** 2))
@@ -309,8 +311,9 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     if edges.inliers > 0:
         per_variance = shares.edges * edges.inliers
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
-        excess /= min(problem.edge_errors.most_edges, edges.inliers)
-        parts[0] += per_variance * edges.noise_px2 / edges.inliers**2 * of_edges
+        independent = problem.edge_errors.independent * edges.inliers
+        excess /= min(problem.edge_errors.most_edges, independent)
+        parts[0] += per_variance * edges.noise_px2 / (edges.inliers * independent) * of_edges
         parts[2] += per_variance * excess * of_edges
     total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2

@@ -25,12 +25,10 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.belief import frame_belief
 from rpod_pose.pmd.joint.depth_points import Planes
-from rpod_pose.pmd.joint.edge_consistency import (
-    by_distances,
-    edges_in_place,
-)
+from rpod_pose.pmd.joint.edge_consistency import by_distances, edges_in_place
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -94,7 +92,8 @@ class JointTracker:
         tuning = config.tuning
         self._tuning, self._target = tuning, target
         self._ranges = tuning.depth.calibrated if calibrated else tuning.depth.raw
-        edges = EdgeModel.of(target, spacing_m=tuning.edges.spacing_share * target.radius_m)
+        self._spacing_m = tuning.edges.spacing_share * target.radius_m
+        edges = EdgeModel.of(target, spacing_m=self._spacing_m)
         self._triangles_m = np.ascontiguousarray(target.triangles_m)
         self._edges = edges.arrays
         self._field, self._renderer = field_arrays(target), PatchRenderer(target, tuning.edges)
@@ -219,7 +218,9 @@ class JointTracker:
     def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
         errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
-        edges = self._edge_errors._replace(px_per_m=seen.lens.fx / seen.away_m)
+        px_per_m = seen.lens.fx / seen.away_m
+        independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
+        edges = self._edge_errors._replace(px_per_m=px_per_m, independent=independent)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
 
     def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:

@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,12 @@ from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
+from rpod_pose.pmd.joint.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.fit import DepthErrors, EdgeErrors, EdgeEvidence, _shares
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
+from rpod_pose.registration.field_alignment import FieldEvidence
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
@@ -127,6 +131,19 @@ def test_the_brightness_of_a_target_with_little_depth_is_told_by_its_amplitude()
     assert isinstance(found, JointFrame)
     assert 0 < len(found.points_m) < JointConfig().tuning.acceptance.min_points
     assert found.typical == found.patch.typical == pytest.approx(whole.patch.typical / 20.0 + 1.0, rel=0.1)
+
+
+def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than_the_blur() -> None:
+    apart_px = correlation_px(JointConfig().tuning.edges.blur_px)
+    shares = []
+    for independent in (1.0, 0.5):
+        errors = EdgeErrors(0.3, 300.0, 3.0, independent=independent)
+        edges = EdgeEvidence(100 * 0.3**2, 100, 100, 100, 100.0, 0, 0.0, np.zeros(35))
+        depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.0, slack_m=0.0)
+        problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)
+        shares.append(_shares.py_func(problem, FieldEvidence(0.0, 0.0, 0, 0.0), edges, 3.0).edges)
+    assert shares[1] == pytest.approx(0.5 * shares[0])
+    assert 2.0 < apart_px < 3.0
 
 
 @pytest.mark.parametrize("dark", [False, True])
