@@ -33,6 +33,8 @@ FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 """Geman-McClure scales of the steps that refine the best candidates, over the truncation."""
 _ROUNDS, _SAMPLES = 6, 32
 """Number of rounds of the refinement on the outline, and of samples in each: a budget of computation."""
+_FIRST_ROUNDS = 2
+"""Rounds of the refinement on the outline after which poses are compared."""
 _POWER = 8
 """A Sobol sequence is even at powers of two; 2^8 samples or fewer are used."""
 
@@ -143,14 +145,27 @@ class FrameSearch:
         return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
-        """Return refined poses; those that may still be the best are refined on the outline too."""
+        """Return refined poses, on the outline too; those that may still be the best to the end.
+
+        Losses are compared after some rounds of that. Depth alone may leave the right pose some degrees off
+        if there is little of it, and such a pose has a far greater loss than a wrong one that fits by chance.
+        """
         refined = self._distinct(self._refined(pose) for pose in poses)
         if not refined:
             return []
-        most = refined[0].fit.loss + self._tuning.rival_loss
-        return self._distinct(
-            self._outline_refined(pose) if pose.fit.loss <= most and self._possible(pose) else pose
+        likely, least = self._tuning.rival_losses, refined[0].fit.loss
+        begun = self._distinct(
+            self._outline_refined(pose, self._draws[:_FIRST_ROUNDS])
+            if pose.fit.loss <= likely * least and self._possible(pose)
+            else pose
             for pose in refined
+        )
+        most = begun[0].fit.loss + self._tuning.rival_loss
+        return self._distinct(
+            self._outline_refined(pose, self._draws)
+            if pose.fit.loss <= most and self._possible(pose)
+            else pose
+            for pose in begun
         )
 
     def _fitted(self, R: FloatArray, t: FloatArray) -> Pose:
@@ -168,9 +183,9 @@ class FrameSearch:
         refined = self._fitted(*field_aligned(self._fine, start, self._model.field, self._fine_scales_m))
         return min(refined, pose, key=lambda one: one.fit.loss)
 
-    def _outline_refined(self, pose: Pose) -> Pose:
-        """Return a pose refined on the outline and the amplitude."""
-        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, self._draws))
+    def _outline_refined(self, pose: Pose, draws: FloatArray) -> Pose:
+        """Return a pose refined on the outline and the amplitude, in as many rounds as there are samples."""
+        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, draws))
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""

@@ -52,6 +52,9 @@ from rpod_target import Target
 
 CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
 """Difference of two log likelihoods from which one of them is preferred: a likelihood-ratio test at 95 %."""
+MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
+"""Greatest drop of the log likelihood by an alignment: six parameters of the pose may have been fitted to the
+noise before, and a likelihood-ratio test at 99 % allows for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +163,7 @@ class ViewSearch:
         for pose in poses:
             likely = pose.fit.loss <= tuning.rival_losses * poses[0].fit.loss
             if likely or not any(each.is_accepted for each in aligned):
-                aligned.append(self._aligned(task, fitter, pose))
+                aligned.append(self._aligned(task, fitter, pose, per_loss))
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
@@ -179,10 +182,11 @@ class ViewSearch:
     def _better(self, best: _Aligned, aligned: list[_Aligned], least_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
 
-        Empty if there is none. The difference of the losses after alignment is at least ``least_loss``.
+        Empty if there is none. The losses of the best after its alignment, and of the other before or after
+        its own, differ by at least ``least_loss``.
         """
         refused = [each for each in aligned if not each.is_accepted]
-        better = [each for each in refused if best.losses[1] - each.losses[1] > least_loss]
+        better = [each for each in refused if best.losses[1] - each.losses.min() > least_loss]
         others = self._model.turns.distinct([best, *better], self._tuning.distinct_deg)[1:]
         return others[0].registration.belief.reason if others else ""
 
@@ -198,14 +202,28 @@ class ViewSearch:
         preferred: NDArray[np.bool_] = logs > CLEAR_LOG
         return preferred
 
-    def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose) -> _Aligned:
-        """Return a pose that the search found, aligned by the tracker."""
+    def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> _Aligned:
+        """Return a pose that the search found, aligned by the tracker.
+
+        The alignment is contradicted if it led from a pose that explains the frame to one that does not: a
+        log likelihood is ``per_loss`` times a loss.
+        """
         found = self._registered(task, pose)
         if found.T_sensor_target is None:
             return _Aligned(pose.R, pose.t, pose.t, found, np.array((pose.fit.loss, np.inf)))
         R, t = PoseArrays.of(found.T_sensor_target)
         shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
-        return _Aligned(R, t, shown_t, found, np.array((pose.fit.loss, fitter.fit(R, shown_t).loss)))
+        losses = np.array((pose.fit.loss, fitter.fit(R, shown_t).loss))
+        if found.continues_track and per_loss * (losses[1] - losses[0]) > MOST_DROP_LOG:
+            # the outline shows the pose itself, the depth shows it with the bias
+            worse = min(losses[1], fitter.fit(R, t).loss)
+            if per_loss * (worse - losses[0]) > MOST_DROP_LOG:
+                times = worse / losses[0]
+                reason = (
+                    f"the alignment leads away from a pose that explains the frame {times:.1f} times better"
+                )
+                found = replace(found, belief=replace(contradicted(reason), evidence=found.belief.evidence))
+        return _Aligned(R, t, shown_t, found, losses)
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether a pose near this one may be the target's, by what the whole frame shows there."""

@@ -160,7 +160,10 @@ def rear_face() -> PmdFrame:
 
 
 def test_rivals_that_the_alignment_leads_to_one_pose_are_that_pose():
-    result = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(to=REAR)).acquire(rear_face())
+    depth_m = depth_frame(target("mockup"), REAR).depth_m
+    rear_face_alone = frame_of(np.where(depth_m < 3.4, depth_m, np.nan))  # without the camera's error
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(to=REAR))
+    result = search.acquire(rear_face_alone)
     assert (result.outcome, len(result.hypotheses)) == (Outcome.ACCEPTED, 1)
 
 
@@ -171,6 +174,21 @@ def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_frame_better
     assert result.belief.reason.endswith(
         "explains the frame better than those that are not: edges are elsewhere"
     )
+
+
+def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_frame_is_not_accepted():
+    result = ViewSearch(
+        PmdAcquisitionConfig(),
+        target("mockup"),
+        Judging(
+            to=make_pose(
+                rotation=Rotation.from_rotvec((0.2, 0.0, 0.0)) * OBLIQUE.rotation,
+                translation_m=OBLIQUE.translation,
+            )
+        ),
+    ).acquire(seen("mockup", OBLIQUE))
+    assert result.outcome is Outcome.FAILED
+    assert "leads away from a pose that explains the frame" in result.belief.reason
 
 
 class Undecided:
