@@ -57,7 +57,7 @@ class EdgeSight(NamedTuple):
     lens: Lens
     patch: Patch
     expected: ExpectedEdges
-    """The samples that the image may show, by a rendering near the pose."""
+    """The samples that the image likely shows, by a rendering near the pose."""
 
 
 class DepthErrors(NamedTuple):
@@ -117,7 +117,7 @@ class EdgeEvidence(NamedTuple):
     inliers: int
     """Number of samples within the Geman-McClure scale."""
     checked: int
-    """Number of samples more likely seen than not whose place in the image could be searched."""
+    """Number of samples whose place in the image could be searched."""
     found: int
     """Number of these within the scale."""
     expected: float
@@ -194,12 +194,11 @@ def add_edge_points(
         place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
         if change < 0.0:
             continue
-        e2, likely = place * place, expected_edges.probability[m]
-        if likely >= 0.5:
-            checked += 1
-            found += change > 0.0 and e2 < c2
-            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-            expected += likely * share_within(SCALE * reach, noise_px, noisy_px)
+        e2 = place * place
+        checked += 1
+        found += change > 0.0 and e2 < c2
+        noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+        expected += expected_edges.probability[m] * share_within(SCALE * reach, noise_px, noisy_px)
         if change == 0.0:
             continue
         gx = across * at.column_by_x + down * at.row_by_x
@@ -209,7 +208,7 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-            noise_px2 += (BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)) ** 2
+            noise_px2 += noisy_px**2
             darker = darker_side(patch, Profile(column, row, across, down), place)
             if darker != 0.0:
                 shifted += 1
