@@ -145,7 +145,7 @@ class FrameSearch:
         return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
-        """Return refined poses, on the outline too; those that may still be the best to the end.
+        """Return refined poses, on the outline too; those that may still be the best in all rounds.
 
         Losses are compared after some rounds of that. Depth alone may leave the right pose some degrees off
         if there is little of it, and such a pose has a far greater loss than a wrong one that fits by chance.
@@ -162,7 +162,7 @@ class FrameSearch:
         )
         most = begun[0].fit.loss + self._tuning.rival_loss
         return self._distinct(
-            self._outline_refined(pose, self._draws)
+            self._outline_refined(pose, self._draws[_FIRST_ROUNDS:])
             if pose.fit.loss <= most and self._possible(pose)
             else pose
             for pose in begun

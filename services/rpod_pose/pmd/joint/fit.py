@@ -39,8 +39,9 @@ from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Prior standard deviations of a step."""
-SCALE = 0.2
-"""Geman-McClure scale of an edge's residual over the reach of its search."""
+SCALE, LAST_SCALE = 0.2, 0.13
+"""Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. There
+it is 0.4 px, three times the spread of clear edges at the true pose: farther changes are those of others."""
 BLUNTNESS_PX = 1.4
 """Standard deviation of an edge's position by noise, px, per noise of its change over the change itself."""
 SHIFT_PX = 0.5
@@ -89,6 +90,8 @@ class EdgeErrors(NamedTuple):
     """Greatest number of samples that count, since neighbours share their errors."""
     reach_px: float
     """Half length of the search in the last steps; edges count less while it is longer."""
+    scale: float = SCALE
+    """Geman-McClure scale of a residual over the reach of the search."""
     px_per_m: float = 0.0
     """Motion in the image by a motion across the sight, at the depth of what is seen."""
     independent: float = 1.0
@@ -109,6 +112,11 @@ class JointProblem(NamedTuple):
     """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
 
 
+def near_the_pose(problem: JointProblem, planes: Planes) -> JointProblem:
+    """Return the problem of the last steps: distances from planes, and changes of other edges left out."""
+    return problem._replace(planes=planes, edge_errors=problem.edge_errors._replace(scale=LAST_SCALE))
+
+
 class EdgeEvidence(NamedTuple):
     """Statistics of the edge samples."""
 
@@ -119,9 +127,9 @@ class EdgeEvidence(NamedTuple):
     checked: int
     """Number of samples whose place in the image could be searched."""
     found: int
-    """Number of these within the scale."""
+    """Number of these that are near their place: within ``SCALE`` of the reach."""
     expected: float
-    """Expected number of these within the scale at the right pose."""
+    """Expected number of these near their place at the right pose."""
     shifted: int
     """Number of inliers beside saturated pixels."""
     noise_px2: float
@@ -155,7 +163,7 @@ class JointFit(NamedTuple):
 
 @kernel
 def add_edge_points(
-    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, noise_px: float
+    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, errors: EdgeErrors
 ) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
@@ -170,13 +178,13 @@ def add_edge_points(
         sight: edges, those expected, lens and image.
         pose: pose to linearise at.
         reach: half length of the search, px.
-        noise_px: standard deviation of an edge's position in the image.
+        errors: assumed errors of edges.
     """
     edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
-    c2, shift = (SCALE * reach) ** 2, no_sums()
+    near2, c2, shift = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -196,9 +204,9 @@ def add_edge_points(
             continue
         e2 = place * place
         checked += 1
-        found += change > 0.0 and e2 < c2
+        found += change > 0.0 and e2 < near2
         noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-        expected += expected_edges.probability[m] * share_within(SCALE * reach, noise_px, noisy_px)
+        expected += expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
         if change == 0.0:
             continue
         gx = across * at.column_by_x + down * at.row_by_x
@@ -270,7 +278,7 @@ def joint_shares(problem: JointProblem, state: State) -> Shares:
     """Return the weights of points and edges in the last step of a problem, at a pose."""
     scale, reach = problem.schedule[-1]
     points = add_depth_points(no_sums(), problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors)
     return _shares(problem, points, edges, reach)
 
 
@@ -280,7 +288,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
-    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
     return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
 
 
@@ -297,7 +305,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     scale, reach = problem.schedule[step]
     of_points, of_edges, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
     points = add_depth_points(of_points, problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors.noise_px)
+    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors)
     shares = _shares(problem, points, edges, reach)
     of_points, of_edges = shares.points * of_points, shares.edges * of_edges
     parts = np.zeros((3, SUMS))

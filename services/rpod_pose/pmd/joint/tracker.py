@@ -46,6 +46,7 @@ from rpod_pose.pmd.joint.fit import (
     align,
     cell_information,
     joint_shares,
+    near_the_pose,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
@@ -207,7 +208,7 @@ class JointTracker:
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(seen, sight, first), state).state
         problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last)
-        problem = problem._replace(planes=self._planes(seen, state.pose))
+        problem = near_the_pose(problem, self._planes(seen, state.pose))
         return align(problem, state), problem
 
     def _least_scale_m(self, seen: JointFrame) -> float:
@@ -326,7 +327,7 @@ class JointTracker:
         tuning = self._tuning
         wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         reach = tuning.edges.final_search_px * wider
-        found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
+        found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         if found.checked < tuning.acceptance.min_edges:
             return None
         return found.found / max(found.expected, 1.0)

@@ -10,11 +10,24 @@ from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
-from rpod_pose.pmd.joint.fit import DepthErrors, EdgeErrors, EdgeEvidence, _shares
+from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
+from rpod_pose.pmd.joint.fit import (
+    LAST_SCALE,
+    SCALE,
+    DepthErrors,
+    EdgeErrors,
+    EdgeEvidence,
+    EdgeSight,
+    _shares,
+    add_edge_points,
+)
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldEvidence
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
@@ -131,6 +144,23 @@ def test_the_brightness_of_a_target_with_little_depth_is_told_by_its_amplitude()
     assert isinstance(found, JointFrame)
     assert 0 < len(found.points_m) < JointConfig().tuning.acceptance.min_points
     assert found.typical == found.patch.typical == pytest.approx(whole.patch.typical / 20.0 + 1.0, rel=0.1)
+
+
+def test_changes_half_a_pixel_from_an_edge_are_left_out_in_the_last_steps() -> None:
+    tuning = JointConfig().tuning
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=tuning)
+    assert isinstance(seen, JointFrame)
+    pose, edges = PoseArrays.of(TRUTH), EdgeModel.of(MOCKUP, spacing_m=0.02).arrays
+    shown = PatchRenderer(MOCKUP, tuning.edges).render(seen.rays, seen.per_px, pose)
+    sight = EdgeSight(edges, seen.lens, seen.patch, expect_edges(edges, seen.lens, seen.patch, shown))
+    aside = pose._replace(t=pose.t + np.array((0.5 * pose.t[2] / seen.lens.fx, 0.0, 0.0)))
+    errors = EdgeErrors(tuning.edges.sigma_px, 300.0, 3.0)
+    first, last = (
+        add_edge_points(no_sums(), sight, aside, 3.0, errors._replace(scale=scale))
+        for scale in (SCALE, LAST_SCALE)
+    )
+    assert last.found == first.found > 100
+    assert last.inliers < 0.8 * first.inliers
 
 
 def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than_the_blur() -> None:
