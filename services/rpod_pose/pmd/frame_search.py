@@ -121,17 +121,21 @@ class FrameSearch:
         self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
-    def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
+    def search(
+        self, attitudes: Float32Array, around: FloatArray | None, others: Iterable[Pose] = ()
+    ) -> list[Pose]:
         """Return distinct poses, best first; empty if the sensor sees the target at no attitude.
 
         Args:
             attitudes: initial R_sensor_target, shape (M, 3, 3).
             around: R_sensor_target, shape (3, 3), near which all poses must be; None for any.
+            others: poses that were found in another way, which are compared as well.
         """
         tuning = self._tuning
         refined = tuning.refined if around is None else tuning.near_refined
         candidates = self._comparison.candidates(attitudes, compared=tuning.compared, refined=refined)
         found = [self._field_aligned(*candidate) for candidate in candidates]
+        found += [self._fitted(pose.R, pose.t) for pose in others]
         turned: list[Pose] = []
         for _ in range(tuning.turned):
             best = self._distinct(found)

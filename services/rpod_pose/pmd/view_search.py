@@ -21,9 +21,9 @@ accepted: the right pose may not be among them. If the tracker refuses all likel
 tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
-that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone
-must distinguish poses: the best is accepted only if all others are much worse; otherwise the result is
-ambiguous.
+that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
+Then the shape alone must distinguish poses: the best is accepted only if all others are much worse; otherwise
+the result is ambiguous.
 """
 
 from collections.abc import Sequence
@@ -141,19 +141,23 @@ class ViewSearch:
         else:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
-        task = _Task(measurement, scene, attitudes, around)
-        found = self._verified(task, known_materials=True)
-        if found.outcome is not Outcome.FAILED:
-            return found
-        by_shape = self._verified(task, known_materials=False)
-        return found if by_shape.outcome is Outcome.FAILED else by_shape
+        task, poses, failed = _Task(measurement, scene, attitudes, around), list[Pose](), None
+        for known_materials in (True, False):
+            fitter = PmdFitter(tuning.model, self._model.shown, scene, known_materials=known_materials)
+            search = FrameSearch(tuning, self._model, scene, fitter, partial(self._possible, measurement))
+            poses = search.search(attitudes, around, poses)
+            found = self._verified(task, fitter, poses, known_materials=known_materials)
+            if found.outcome is not Outcome.FAILED:
+                return found
+            failed = failed or found
+        assert failed is not None  # noqa: S101 - the loop has run
+        return failed
 
-    def _verified(self, task: _Task, *, known_materials: bool) -> Acquisition:
+    def _verified(
+        self, task: _Task, fitter: PmdFitter, poses: list[Pose], *, known_materials: bool
+    ) -> Acquisition:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
         tuning = self._tuning
-        fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=known_materials)
-        search = FrameSearch(tuning, self._model, task.scene, fitter, partial(self._possible, task.frame))
-        poses = search.search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
