@@ -37,7 +37,7 @@ _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
 target's radius, and of the attitude, deg."""
 _LEAST_TOLD, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
 """Greatest standard deviation of a first pose over that of any pose of a target that is in view: there the
-frame tells as much as that assumption. Any angle has the second one, deg; a position has the target's radius."""
+frame tells as much as that assumption. Any angle has the second one, deg; a position has the radius."""
 _FARTHEST_M = 15.0
 """Greatest distance of the target in a search without a prediction: beyond, too little light returns."""
 _MARGIN = 1.0 / 15.0

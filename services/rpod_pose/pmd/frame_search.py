@@ -54,6 +54,8 @@ class Pose:
     R: FloatArray
     t: FloatArray
     fit: PmdFit
+    deviations: FloatArray | None = None
+    """Standard deviations of the samples in the next round of the refinement on the outline, shape (6,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +191,9 @@ class FrameSearch:
 
     def _outline_refined(self, pose: Pose, draws: FloatArray) -> Pose:
         """Return a pose refined on the outline and the amplitude, in as many rounds as there are samples."""
-        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, draws))
+        deviations = self._refined_sigmas if pose.deviations is None else pose.deviations
+        R, t, deviations = self._fitter.outline_refined(pose.R, pose.t, deviations, draws)
+        return Pose(R, t, self._fitter.fit(R, t), deviations)
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""
