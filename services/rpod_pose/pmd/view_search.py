@@ -14,11 +14,12 @@ until the pose settles: the edges that it expects are those of a rendering at th
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
 The weights of the hypotheses follow from their losses. The tracker aligns the likely rivals as well, and they
 are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
-rival is excluded if its loss is too great before and after the alignment, if the tracker refuses it, or if
-the alignment leads it to the best pose. It stays if the shape alone prefers it clearly: a user knows the
-materials only roughly. If a refused pose explains the frame much better than the accepted ones, none is
-accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
-tried in turn.
+rival is excluded if its loss is too great before and after the alignment, or if the tracker refuses it. If
+the alignment leads it to the best pose, the one of the two that explains the frame better is taken. A rival
+stays if the shape alone prefers it clearly: a user knows the materials only roughly. An alignment that leads
+away from a pose that explains the frame much better is refused: it ended in a false minimum. If a refused
+pose explains the frame much better than the accepted ones, none is accepted: the right pose may not be among
+them. If the tracker refuses all likely poses, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
@@ -44,6 +45,7 @@ from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker, WholeFr
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_pose.search.turns import matrices
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
@@ -171,17 +173,32 @@ class ViewSearch:
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
+        believed = self._merged(believed)
         best, least = believed[0], tuning.ambiguous_weight
         if better := self._better(best, aligned, logit(least) / per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
-        believed = self._model.turns.distinct(believed, tuning.distinct_deg)
         logs = per_loss * np.array([(best.losses - each.losses).max() for each in believed])
         if known_materials:
             logs[self._preferred_by_shape(task, believed)] = 0.0
         found = rivals(believed, logs, self._model.turns.exact)
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
+
+    def _merged(self, aligned: list[_Aligned]) -> list[_Aligned]:
+        """Return distinct poses in their order.
+
+        Alignments that lead to nearly the same attitude may end in several minima beside each other: of these
+        poses, the one that explains the frame best stands for all, with the least losses.
+        """
+        turns, within_deg = self._model.turns, self._tuning.distinct_deg
+        distinct = turns.distinct(aligned, within_deg)
+        merged = []
+        for near in turns.close(matrices(distinct), matrices(aligned), within_deg):
+            same = [pose for pose, is_near in zip(aligned, near, strict=True) if is_near]
+            losses = np.array([pose.losses for pose in same])
+            merged.append(replace(same[int(losses[:, 1].argmin())], losses=losses.min(axis=0)))
+        return merged
 
     def _better(self, best: _Aligned, aligned: list[_Aligned], least_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
