@@ -175,7 +175,7 @@ class ViewSearch:
             return task.failed(aligned[0].registration)
         believed = self._merged(believed)
         best, least = believed[0], tuning.ambiguous_weight
-        if better := self._better(best, aligned, logit(least) / per_loss):
+        if better := self._better(best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
         logs = per_loss * np.array([(best.losses - each.losses).max() for each in believed])
@@ -200,16 +200,17 @@ class ViewSearch:
             merged.append(replace(same[int(losses[:, 1].argmin())], losses=losses.min(axis=0)))
         return merged
 
-    def _better(self, best: _Aligned, aligned: list[_Aligned], least_loss: float) -> str:
+    def _better(self, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
 
-        Empty if there is none. The losses of the best after its alignment, and of the other before or after
-        its own, differ by at least ``least_loss``.
+        Empty if there is none. The loss of the best after its alignment is compared with that of the other
+        before or after its own. A pose near the best may be better by ``MOST_DROP_LOG``, since both are one.
         """
         refused = [each for each in aligned if not each.is_accepted]
-        better = [each for each in refused if best.losses[1] - each.losses.min() > least_loss]
-        others = self._model.turns.distinct([best, *better], self._tuning.distinct_deg)[1:]
-        return others[0].registration.belief.reason if others else ""
+        gains = per_loss * np.array([best.losses[1] - each.losses.min() for each in refused])
+        near = self._model.turns.close(matrices([best]), matrices(refused), self._tuning.distinct_deg)[0]
+        better = gains > np.where(near, MOST_DROP_LOG, logit(self._tuning.ambiguous_weight))
+        return refused[int(better.argmax())].registration.belief.reason if better.any() else ""
 
     def _preferred_by_shape(self, task: _Task, poses: list[_Aligned]) -> NDArray[np.bool_]:
         """Return which poses the shape alone prefers clearly to the first, shape (N,)."""
