@@ -13,7 +13,7 @@ from rpod_pose.pmd import view_search
 from rpod_pose.pmd.fit import PmdFit
 from rpod_pose.pmd.frame_search import Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
-from rpod_pose.pmd.view_search import ViewSearch
+from rpod_pose.pmd.view_search import ViewSearch, _Aligned
 from rpod_pose.ports import Outcome, Registration
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
@@ -189,6 +189,35 @@ def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_frame_is_not
     ).acquire(seen("mockup", OBLIQUE))
     assert result.outcome is Outcome.FAILED
     assert "leads away from a pose that explains the frame" in result.belief.reason
+
+
+def aligned_pose(turn_deg: float, losses: tuple[float, float], belief: Belief | None = None) -> _Aligned:
+    """Return a pose turned from the oblique one, with its losses before and after its alignment."""
+    T = make_pose(rotation=Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation)
+    registration = Registration(Source.PMD_JOINT, T, belief or Belief())
+    R, t = PoseArrays.of(T)
+    return _Aligned(R, t, t, registration, np.array(losses))
+
+
+def test_of_alignments_beside_each_other_the_one_that_explains_the_frame_best_is_taken():
+    ended = [
+        aligned_pose(0.0, (100.0, 300.0)),
+        aligned_pose(90.0, (110.0, 200.0)),
+        aligned_pose(2.0, (200.0, 150.0)),
+    ]
+    best, other = searching("mockup")._merged(ended)
+    assert best.registration is ended[2].registration
+    assert best.losses.tolist() == [100.0, 150.0]
+    assert other.losses.tolist() == [110.0, 200.0]
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "gain", "better"), [(2.0, 5.0, False), (2.0, 10.0, True), (90.0, 5.0, True)]
+)
+def test_a_refused_pose_beside_the_best_must_be_better_than_noise_makes_it(turn_deg, gain, better):
+    best = aligned_pose(0.0, (100.0, 100.0))
+    refused = aligned_pose(turn_deg, (100.0 - gain, 200.0), contradicted("it led away"))
+    assert searching("mockup")._better(best, [best, refused], 1.0) == ("it led away" if better else "")
 
 
 class Undecided:
