@@ -15,11 +15,12 @@ Whether the pose is believed is the tracker's decision: it compares every pixel 
 The weights of the hypotheses follow from their losses. The tracker aligns the likely rivals as well, and they
 are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
 rival is excluded if its loss is too great before and after the alignment, or if the tracker refuses it. If
-the alignment leads it to the best pose, the one of the two that explains the frame better is taken. A rival
-stays if the shape alone prefers it clearly: a user knows the materials only roughly. An alignment that leads
-away from a pose that explains the frame much better is refused: it ended in a false minimum. If a refused
-pose explains the frame much better than the accepted ones, none is accepted: the right pose may not be among
-them. If the tracker refuses all likely poses, the next ones are tried in turn.
+the alignment leads it beside the best pose, the one that explains the frame clearly better is taken, and the
+covariance contains the distance of the two, as far as both are likely. A rival stays if the shape alone
+prefers it clearly: a user knows the materials only roughly. An alignment that leads away from a pose that
+explains the frame much better is refused: it ended in a false minimum. If a refused pose explains the frame
+much better than the accepted ones, none is accepted: the right pose may not be among them. If the tracker
+refuses all likely poses, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
@@ -34,7 +35,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri, logit
+from scipy.special import chdtri, logit, softmax
 
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
@@ -173,7 +174,7 @@ class ViewSearch:
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
-        believed = self._merged(believed)
+        believed = self._merged(believed, per_loss)
         best, least = believed[0], tuning.ambiguous_weight
         if better := self._better(best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
@@ -185,11 +186,12 @@ class ViewSearch:
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
 
-    def _merged(self, aligned: list[_Aligned]) -> list[_Aligned]:
+    def _merged(self, aligned: list[_Aligned], per_loss: float) -> list[_Aligned]:
         """Return distinct poses in their order.
 
-        Alignments that lead to nearly the same attitude may end in several minima beside each other: of these
-        poses, the one that explains the frame best stands for all, with the least losses.
+        Alignments that lead to nearly the same attitude may end in several minima beside each other. Of these
+        poses the first stands for all, or one that explains the frame clearly better. The likely others are
+        among its errors: its covariance contains their mean square distance.
         """
         turns, within_deg = self._model.turns, self._tuning.distinct_deg
         distinct = turns.distinct(aligned, within_deg)
@@ -197,8 +199,21 @@ class ViewSearch:
         for near in turns.close(matrices(distinct), matrices(aligned), within_deg):
             same = [pose for pose, is_near in zip(aligned, near, strict=True) if is_near]
             losses = np.array([pose.losses for pose in same])
-            merged.append(replace(same[int(losses[:, 1].argmin())], losses=losses.min(axis=0)))
+            logs = per_loss * (losses[0, 1] - losses[:, 1])
+            best = same[int(logs.argmax()) if logs.max() > CLEAR_LOG else 0]
+            spread = self._spread(best, same, softmax(logs))
+            registration = replace(best.registration, covariance=best.registration.covariance + spread)
+            merged.append(replace(best, registration=registration, losses=losses.min(axis=0)))
         return merged
+
+    def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
+        """Return the mean square of (dp, dtheta) from one pose to several with weights, (6, 6), m and rad."""
+        middle, alike = pose_of(best.R, best.t), self._model.target.equivalence
+        others = [alike.nearest_pose(pose_of(pose.R, pose.t), middle) for pose in poses]
+        turns = [(other.rotation * middle.rotation.inv()).as_rotvec() for other in others]
+        steps = np.column_stack(([pose.t - best.t for pose in poses], turns))
+        spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
+        return spread
 
     def _better(self, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.

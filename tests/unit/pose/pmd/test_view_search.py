@@ -194,21 +194,30 @@ def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_frame_is_not
 def aligned_pose(turn_deg: float, losses: tuple[float, float], belief: Belief | None = None) -> _Aligned:
     """Return a pose turned from the oblique one, with its losses before and after its alignment."""
     T = make_pose(rotation=Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation)
-    registration = Registration(Source.PMD_JOINT, T, belief or Belief())
+    registration = Registration(Source.PMD_JOINT, T, belief or Belief(), covariance=np.zeros((6, 6)))
     R, t = PoseArrays.of(T)
     return _Aligned(R, t, t, registration, np.array(losses))
 
 
-def test_of_alignments_beside_each_other_the_one_that_explains_the_frame_best_is_taken():
+def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_better_is_taken():
     ended = [
-        aligned_pose(0.0, (100.0, 300.0)),
+        aligned_pose(0.0, (100.0, 160.0)),
         aligned_pose(90.0, (110.0, 200.0)),
         aligned_pose(2.0, (200.0, 150.0)),
     ]
-    best, other = searching("mockup")._merged(ended)
-    assert best.registration is ended[2].registration
+    best, other = searching("mockup")._merged(ended, 1.0)
+    assert best.R is ended[2].R
     assert best.losses.tolist() == [100.0, 150.0]
     assert other.losses.tolist() == [110.0, 200.0]
+    assert np.sqrt(best.registration.covariance[3, 3]) < np.radians(0.02)
+
+
+def test_alignments_that_end_beside_each_other_and_explain_the_frame_alike_are_in_the_covariance():
+    ended = [aligned_pose(0.0, (100.0, 150.0)), aligned_pose(2.0, (200.0, 149.0))]
+    (best,) = searching("mockup")._merged(ended, 1.0)
+    share = 1.0 / (1.0 + np.exp(-1.0))
+    assert best.R is ended[0].R
+    assert best.registration.covariance[3, 3] == pytest.approx(share * np.radians(2.0) ** 2, rel=1e-3)
 
 
 @pytest.mark.parametrize(
