@@ -277,9 +277,8 @@ class JointTracker:
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
-        whole = alone
-        if self._model_error.matters:
-            whole = self._considered(seen, fit, problem, shares, alone)
+        matters = self._model_error.matters
+        whole = self._considered(seen, fit, problem, shares, alone) if matters else alone
         return uncertainty(
             fit,
             alone,
@@ -323,10 +322,9 @@ class JointTracker:
         return agreeing / checked if checked else 0.0
 
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
-        """Return the share of the expected edges that are near their place at a pose; None if few are seen."""
+        """Return the share of the expected edges that are near their place at a pose; None if few show."""
         tuning = self._tuning
-        wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
-        reach = tuning.edges.final_search_px * wider
+        reach = tuning.edges.final_search_px * float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         if found.checked < tuning.acceptance.min_edges:
             return None
