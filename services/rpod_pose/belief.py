@@ -74,13 +74,17 @@ class Belief:
     @property
     def begins_track(self) -> bool:
         """Whether a track may begin at the pose: no likely rival is left that a measurement could exclude."""
-        alone = self.level is BeliefLevel.ACCEPTED or all(rival.exact for rival in self.rivals)
-        return self.continues_track and alone and not self.insufficient
+        return self.continues_track and self._alone and not self.insufficient
+
+    @property
+    def _alone(self) -> bool:
+        """Whether no likely rival is left, or none that a measurement could exclude."""
+        return self.level is BeliefLevel.ACCEPTED or all(rival.exact for rival in self.rivals)
 
     @property
     def refusal(self) -> str:
         """Reason why no track may begin at the pose."""
-        return self.reason or self.insufficient
+        return (self._alone and self.insufficient) or self.reason
 
     @property
     def continues_track(self) -> bool:

@@ -99,7 +99,7 @@ def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
         "right_hypothesis": any(
             limits.are_met(*errors(truth, each.pose, stage.target)) for each in found.hypotheses
         ),
-        "reason": found.belief.reason,
+        "reason": found.belief.refusal,
         "acquire_s": took_s,
     }
 

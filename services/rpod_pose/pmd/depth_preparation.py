@@ -11,6 +11,7 @@ multiples at which the image has a possible size of the target are tried, neares
 scales the target by half or more, which no pose explains.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -27,13 +28,18 @@ from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registr
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, unambiguous_range_m
+from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
-"""Greatest standard deviations of a pose at which a track begins: of the position, over the target's radius,
-and of the attitude, deg. Hand: a track converges from there; a larger value begins tracks that the frame
-leaves open."""
+"""Greatest standard deviations at which a track begins at a predicted pose: of the position, over the radius
+of the target, and of the attitude, deg. Hand: a track converges from there; a larger value begins tracks that
+the frame leaves open."""
+_LEAST_TOLD, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
+"""Greatest standard deviation of a first pose over that of any pose of a target that is in view. Physics:
+there the frame tells as much as that assumption. Any angle has the second one, deg; a position has the
+radius."""
 _FARTHEST_M = 15.0
 """Greatest distance of the target in a search without a prediction. Hand: beyond, too little light
 returns."""
@@ -64,7 +70,7 @@ class DepthPreparation:
     """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
-        self._sensor, self.radius_m = sensor, target.radius_m
+        self._sensor, self.target = sensor, target
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
@@ -80,7 +86,7 @@ class DepthPreparation:
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
         """Return a frame unwrapped around a predicted pose and calibrated."""
         range_m = float(np.linalg.norm(T_sensor_target.translation))
-        return self._applied(frame, range_m, self.radius_m + _MARGIN * self._interval_m(frame))
+        return self._applied(frame, range_m, self.target.radius_m + _MARGIN * self._interval_m(frame))
 
     def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
         """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated."""
@@ -90,10 +96,10 @@ class DepthPreparation:
             return
         range_m, spread = found
         ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), self._interval_m(frame)).tolist()
-        least, most = (share * self.radius_m for share in _SPREAD)
+        least, most = (share * self.target.radius_m for share in _SPREAD)
         fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
         for distance_m in fitting_m or ranges_m[:1]:
-            yield self._applied(frame, distance_m, 2.0 * self.radius_m)
+            yield self._applied(frame, distance_m, 2.0 * self.target.radius_m)
 
     def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
         """Return the sources of the modulation frequencies with their values; the first is used."""
@@ -148,8 +154,9 @@ class PreparedTracker:
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
-        most_m = _MOST_SIGMA * self._preparation.radius_m
-        return _determined(self._tracker.track(prepared, T_sensor_target), max_sigma_m=most_m)
+        most_m = _MOST_SIGMA * self._preparation.target.radius_m
+        found = self._tracker.track(prepared, T_sensor_target)
+        return _determined(found, found.covariance, max_sigma_m=most_m, max_sigma_deg=_MOST_SIGMA_DEG)
 
 
 class PreparedAcquirer:
@@ -166,7 +173,7 @@ class PreparedAcquirer:
         for prepared in self._preparation.possible(measurement):
             found = self._acquirer.acquire(prepared)
             if found.outcome is not Outcome.FAILED:
-                return found
+                return self._determined(found)
             failed = failed or found
         assert failed is not None  # noqa: S101 - one is always possible
         return failed
@@ -175,7 +182,29 @@ class PreparedAcquirer:
         """Search around a pose, which determines the multiple."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
-        return self._acquirer.near(self._preparation.predicted(measurement, T_sensor_target), T_sensor_target)
+        prepared = self._preparation.predicted(measurement, T_sensor_target)
+        return self._determined(self._acquirer.near(prepared, T_sensor_target))
+
+    def _determined(self, found: Acquisition) -> Acquisition:
+        """Return an acquisition whose belief says whether the frame tells anything of each part of the pose.
+
+        A long cylinder both of whose ends are outside the image fits at any place along its axis: such a pose
+        must not begin a track. The errors that a camera shares from frame to frame do not hinder it, since
+        the next frame is no better; the covariance contains them. The angle about a free axis does not count.
+        """
+        pose, target = found.pose, self._preparation.target
+        if pose is None:
+            return found
+        observed = target.equivalence.with_free_variance(
+            found.registration.covariance, rotation_matrix(pose), 0.0
+        )
+        registration = _determined(
+            found.registration,
+            observed,
+            max_sigma_m=_LEAST_TOLD * target.radius_m,
+            max_sigma_deg=_LEAST_TOLD * _UNKNOWN_DEG,
+        )
+        return replace(found, registration=registration)
 
 
 def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
@@ -211,17 +240,17 @@ def _refused(why: str) -> Acquisition:
     return Acquisition(Registration.none(Source.NONE, why))
 
 
-def _determined(registration: Registration, *, max_sigma_m: float) -> Registration:
+def _determined(
+    registration: Registration, covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: float
+) -> Registration:
     """Return a registration whose belief says whether the frame alone determines the pose well enough.
 
     A wall that fills the image fits any flat face of the target: such a pose must not begin a track.
     """
     if not registration.begins_track:
         return registration
-    free_motion = undetermined(
-        registration.covariance, max_sigma_m=max_sigma_m, max_sigma_deg=_MOST_SIGMA_DEG
-    )
-    return replace(registration, belief=replace(registration.belief, insufficient=free_motion))
+    open_motion = undetermined(covariance, max_sigma_m=max_sigma_m, max_sigma_deg=max_sigma_deg)
+    return replace(registration, belief=replace(registration.belief, insufficient=open_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:

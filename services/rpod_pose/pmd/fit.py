@@ -237,8 +237,8 @@ class PmdFitter:
 
     def outline_refined(
         self, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the pose R, t of least loss near a given one.
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the pose R, t of least loss near a given one, and the deviations of the next samples.
 
         The loss has no gradient at outlines, so it is sampled from a normal distribution that follows the
         best samples (the cross-entropy method, R. Y. Rubinstein, 1999).
@@ -249,7 +249,9 @@ class PmdFitter:
             deviations: sigmas of (dtau, dtheta) as in ``normal_equations``, m and rad, shape (6,).
             draws: standard normal samples, shape (rounds, samples, 6).
         """
-        refined: tuple[FloatArray, FloatArray] = _outline_refined(self._compared, R, t, deviations, draws)
+        refined: tuple[FloatArray, FloatArray, FloatArray] = _outline_refined(
+            self._compared, R, t, deviations, draws
+        )
         return refined
 
 
@@ -377,7 +379,7 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 @kernel
 def _outline_refined(
     compared: Comparison, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the pose R, t of least loss among all samples (``PmdFitter.outline_refined``)."""
     rounds, samples = draws.shape[0], draws.shape[1]
     best_R, best_t = R, t
@@ -397,4 +399,4 @@ def _outline_refined(
             chosen = steps[order, axis]
             mean[axis] = chosen.mean()
             spread[axis] = chosen.std()
-    return best_R, best_t
+    return best_R, best_t, spread

@@ -36,6 +36,9 @@ FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 _ROUNDS, _SAMPLES = 6, 32
 """Number of rounds of the refinement on the outline, and of samples in each. Numerics: a budget of
 computation."""
+_FIRST_ROUNDS = 2
+"""Rounds of the refinement on the outline after which poses are compared. Numerics: a budget of
+computation."""
 _POWER = 8
 """Power of two of the samples that are made. Numerics: a Sobol sequence is even at powers of two; 2^8 samples
 or fewer are used."""
@@ -56,6 +59,8 @@ class Pose:
     R: FloatArray
     t: FloatArray
     fit: PmdFit
+    deviations: FloatArray | None = None
+    """Standard deviations of the samples in the next round of the refinement on the outline, shape (6,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,17 +128,21 @@ class FrameSearch:
         self._few = Points.equal(scene.downsampled(tuning.coarse_points))
         self._fine = Points.equal(scene.downsampled(tuning.fine_points))
 
-    def search(self, attitudes: Float32Array, around: FloatArray | None) -> list[Pose]:
+    def search(
+        self, attitudes: Float32Array, around: FloatArray | None, others: Iterable[Pose] = ()
+    ) -> list[Pose]:
         """Return distinct poses, best first; empty if the sensor sees the target at no attitude.
 
         Args:
             attitudes: initial R_sensor_target, shape (M, 3, 3).
             around: R_sensor_target, shape (3, 3), near which all poses must be; None for any.
+            others: poses that were found in another way, which are compared as well.
         """
         tuning = self._tuning
         refined = tuning.refined if around is None else tuning.near_refined
         candidates = self._comparison.candidates(attitudes, compared=tuning.compared, refined=refined)
         found = [self._field_aligned(*candidate) for candidate in candidates]
+        found += [self._fitted(pose.R, pose.t) for pose in others]
         turned: list[Pose] = []
         for _ in range(tuning.turned):
             best = self._distinct(found)
@@ -147,14 +156,27 @@ class FrameSearch:
         return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
-        """Return refined poses; those that may still be the best are refined on the outline too."""
+        """Return refined poses, on the outline too; those that may still be the best in all rounds.
+
+        Losses are compared after some rounds of that. Depth alone may leave the right pose some degrees off
+        if there is little of it, and such a pose has a far greater loss than a wrong one that fits by chance.
+        """
         refined = self._distinct(self._refined(pose) for pose in poses)
         if not refined:
             return []
-        most = refined[0].fit.loss + self._tuning.rival_loss
-        return self._distinct(
-            self._outline_refined(pose) if pose.fit.loss <= most and self._possible(pose) else pose
+        likely, least = self._tuning.rival_losses, refined[0].fit.loss
+        begun = self._distinct(
+            self._outline_refined(pose, self._draws[:_FIRST_ROUNDS])
+            if pose.fit.loss <= likely * least and self._possible(pose)
+            else pose
             for pose in refined
+        )
+        most = begun[0].fit.loss + self._tuning.rival_loss
+        return self._distinct(
+            self._outline_refined(pose, self._draws[_FIRST_ROUNDS:])
+            if pose.fit.loss <= most and self._possible(pose)
+            else pose
+            for pose in begun
         )
 
     def _fitted(self, R: FloatArray, t: FloatArray) -> Pose:
@@ -172,9 +194,11 @@ class FrameSearch:
         refined = self._fitted(*field_aligned(self._fine, start, self._model.field, self._fine_scales_m))
         return min(refined, pose, key=lambda one: one.fit.loss)
 
-    def _outline_refined(self, pose: Pose) -> Pose:
-        """Return a pose refined on the outline and the amplitude."""
-        return self._fitted(*self._fitter.outline_refined(pose.R, pose.t, self._refined_sigmas, self._draws))
+    def _outline_refined(self, pose: Pose, draws: FloatArray) -> Pose:
+        """Return a pose refined on the outline and the amplitude, in as many rounds as there are samples."""
+        deviations = self._refined_sigmas if pose.deviations is None else pose.deviations
+        R, t, deviations = self._fitter.outline_refined(pose.R, pose.t, deviations, draws)
+        return Pose(R, t, self._fitter.fit(R, t), deviations)
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
         """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""

@@ -14,16 +14,18 @@ until the pose settles: the edges that it expects are those of a rendering at th
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
 The weights of the hypotheses follow from their losses. The tracker aligns the likely rivals as well, and they
 are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
-rival is excluded if its loss is too great before and after the alignment, if the tracker refuses it, or if
-the alignment leads it to the best pose. It stays if the shape alone prefers it clearly: a user knows the
-materials only roughly. If a refused pose explains the frame much better than the accepted ones, none is
-accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
-tried in turn.
+rival is excluded if its loss is too great before and after the alignment, or if the tracker refuses it. If
+the alignment leads it beside the best pose, the one that explains the frame clearly better is taken, and the
+covariance contains the distance of the two, as far as both are likely. A rival stays if the shape alone
+prefers it clearly: a user knows the materials only roughly. An alignment that leads away from a pose that
+explains the frame much better is refused: it ended in a false minimum. If a refused pose explains the frame
+much better than the accepted ones, none is accepted: the right pose may not be among them. If the tracker
+refuses all likely poses, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
-that are best with the file's materials, the search is repeated with the shape alone. Then the shape alone
-must distinguish poses: the best is accepted only if all others are much worse; otherwise the result is
-ambiguous.
+that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
+Then the shape alone must distinguish poses: the best is accepted only if all others are much worse; otherwise
+the result is ambiguous.
 """
 
 from collections.abc import Sequence
@@ -33,7 +35,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri, logit
+from scipy.special import chdtri, logit, softmax
 
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
@@ -44,6 +46,7 @@ from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker, WholeFr
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_pose.search.turns import matrices
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
@@ -53,6 +56,9 @@ from rpod_target import Target
 CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
 """Difference of two log likelihoods from which one of them is preferred. Physics: a likelihood-ratio test at
 95 %."""
+MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
+"""Greatest drop of the log likelihood by an alignment. Physics: six parameters of the pose may have been
+fitted to the noise before, and a likelihood-ratio test at 99 % allows for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,19 +145,23 @@ class ViewSearch:
         else:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
-        task = _Task(measurement, scene, attitudes, around)
-        found = self._verified(task, known_materials=True)
-        if found.outcome is not Outcome.FAILED:
-            return found
-        by_shape = self._verified(task, known_materials=False)
-        return found if by_shape.outcome is Outcome.FAILED else by_shape
+        task, poses, failed = _Task(measurement, scene, attitudes, around), list[Pose](), None
+        for known_materials in (True, False):
+            fitter = PmdFitter(tuning.model, self._model.shown, scene, known_materials=known_materials)
+            search = FrameSearch(tuning, self._model, scene, fitter, partial(self._possible, measurement))
+            poses = search.search(attitudes, around, poses)
+            found = self._verified(task, fitter, poses, known_materials=known_materials)
+            if found.outcome is not Outcome.FAILED:
+                return found
+            failed = failed or found
+        assert failed is not None  # noqa: S101 - the loop has run
+        return failed
 
-    def _verified(self, task: _Task, *, known_materials: bool) -> Acquisition:
+    def _verified(
+        self, task: _Task, fitter: PmdFitter, poses: list[Pose], *, known_materials: bool
+    ) -> Acquisition:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
         tuning = self._tuning
-        fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=known_materials)
-        search = FrameSearch(tuning, self._model, task.scene, fitter, partial(self._possible, task.frame))
-        poses = search.search(task.attitudes, task.around)
         if not poses:
             reason = "no attitude shows the target to the camera"
             return task.failed(Registration.none(Source.NONE, reason))
@@ -161,15 +171,15 @@ class ViewSearch:
         for pose in poses:
             likely = pose.fit.loss <= tuning.rival_losses * poses[0].fit.loss
             if likely or not any(each.is_accepted for each in aligned):
-                aligned.append(self._aligned(task, fitter, pose))
+                aligned.append(self._aligned(task, fitter, pose, per_loss))
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
+        believed = self._merged(believed, per_loss)
         best, least = believed[0], tuning.ambiguous_weight
-        if better := self._better(best, aligned, logit(least) / per_loss):
+        if better := self._better(best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
-        believed = self._model.turns.distinct(believed, tuning.distinct_deg)
         logs = per_loss * np.array([(best.losses - each.losses).max() for each in believed])
         if known_materials:
             logs[self._preferred_by_shape(task, believed)] = 0.0
@@ -177,15 +187,46 @@ class ViewSearch:
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
 
-    def _better(self, best: _Aligned, aligned: list[_Aligned], least_loss: float) -> str:
+    def _merged(self, aligned: list[_Aligned], per_loss: float) -> list[_Aligned]:
+        """Return distinct poses in their order.
+
+        Alignments that lead to nearly the same attitude may end in several minima beside each other. Of these
+        poses the first stands for all, or one that explains the frame clearly better. The likely others are
+        among its errors: its covariance contains their mean square distance.
+        """
+        turns, within_deg = self._model.turns, self._tuning.distinct_deg
+        distinct = turns.distinct(aligned, within_deg)
+        merged = []
+        for near in turns.close(matrices(distinct), matrices(aligned), within_deg):
+            same = [pose for pose, is_near in zip(aligned, near, strict=True) if is_near]
+            losses = np.array([pose.losses for pose in same])
+            logs = per_loss * (losses[0, 1] - losses[:, 1])
+            best = same[int(logs.argmax()) if logs.max() > CLEAR_LOG else 0]
+            spread = self._spread(best, same, softmax(logs))
+            registration = replace(best.registration, covariance=best.registration.covariance + spread)
+            merged.append(replace(best, registration=registration, losses=losses.min(axis=0)))
+        return merged
+
+    def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
+        """Return the mean square of (dp, dtheta) from one pose to several with weights, (6, 6), m and rad."""
+        middle, alike = pose_of(best.R, best.t), self._model.target.equivalence
+        others = [alike.nearest_pose(pose_of(pose.R, pose.t), middle) for pose in poses]
+        turns = [(other.rotation * middle.rotation.inv()).as_rotvec() for other in others]
+        steps = np.column_stack(([pose.t - best.t for pose in poses], turns))
+        spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
+        return spread
+
+    def _better(self, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
 
-        Empty if there is none. The difference of the losses after alignment is at least ``least_loss``.
+        Empty if there is none. The loss of the best after its alignment is compared with that of the other
+        before or after its own. A pose near the best may be better by ``MOST_DROP_LOG``, since both are one.
         """
         refused = [each for each in aligned if not each.is_accepted]
-        better = [each for each in refused if best.losses[1] - each.losses[1] > least_loss]
-        others = self._model.turns.distinct([best, *better], self._tuning.distinct_deg)[1:]
-        return others[0].registration.belief.reason if others else ""
+        gains = per_loss * np.array([best.losses[1] - each.losses.min() for each in refused])
+        near = self._model.turns.close(matrices([best]), matrices(refused), self._tuning.distinct_deg)[0]
+        better = gains > np.where(near, MOST_DROP_LOG, logit(self._tuning.ambiguous_weight))
+        return refused[int(better.argmax())].registration.belief.reason if better.any() else ""
 
     def _preferred_by_shape(self, task: _Task, poses: list[_Aligned]) -> NDArray[np.bool_]:
         """Return which poses the shape alone prefers clearly to the first, shape (N,)."""
@@ -199,14 +240,28 @@ class ViewSearch:
         preferred: NDArray[np.bool_] = logs > CLEAR_LOG
         return preferred
 
-    def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose) -> _Aligned:
-        """Return a pose that the search found, aligned by the tracker."""
+    def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> _Aligned:
+        """Return a pose that the search found, aligned by the tracker.
+
+        The alignment is contradicted if it led from a pose that explains the frame to one that does not: a
+        log likelihood is ``per_loss`` times a loss.
+        """
         found = self._registered(task, pose)
         if found.T_sensor_target is None:
             return _Aligned(pose.R, pose.t, pose.t, found, np.array((pose.fit.loss, np.inf)))
         R, t = PoseArrays.of(found.T_sensor_target)
         shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
-        return _Aligned(R, t, shown_t, found, np.array((pose.fit.loss, fitter.fit(R, shown_t).loss)))
+        losses = np.array((pose.fit.loss, fitter.fit(R, shown_t).loss))
+        if found.continues_track and per_loss * (losses[1] - losses[0]) > MOST_DROP_LOG:
+            # the outline shows the pose itself, the depth shows it with the bias
+            worse = min(losses[1], fitter.fit(R, t).loss)
+            if per_loss * (worse - losses[0]) > MOST_DROP_LOG:
+                times = worse / losses[0]
+                reason = (
+                    f"the alignment leads away from a pose that explains the frame {times:.1f} times better"
+                )
+                found = replace(found, belief=replace(contradicted(reason), evidence=found.belief.evidence))
+        return _Aligned(R, t, shown_t, found, losses)
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether a pose near this one may be the target's, by what the whole frame shows there."""

@@ -44,6 +44,14 @@ def noise_of_change(blur_px: float) -> float:
     return float(np.sqrt((1.0 - correlation) / (2.0 * np.pi)) / blur_px)
 
 
+def correlation_px(blur_px: float) -> float:
+    """Return the distance along an edge over which its errors by noise are one error, after a Gaussian blur.
+
+    It is the integral of their correlation exp(-d^2 / (4 s^2)) over all distances d.
+    """
+    return float(2.0 * np.sqrt(np.pi) * blur_px)
+
+
 def typical_of(image: Float32Array, start: float) -> float:
     """Return the median amplitude of the pixels that are neither much darker nor much brighter than it.
 

@@ -39,9 +39,10 @@ from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
 """Prior standard deviations of a step. Numerics: they hold only directions that nothing determines."""
-SCALE = 0.2
-"""Geman-McClure scale of an edge's residual over the reach of its search. Hand: a smaller value ignores edges
-that are off, a larger one follows wrong edges."""
+SCALE, LAST_SCALE = 0.2, 0.13
+"""Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
+a smaller value ignores edges that are off, a larger one follows wrong edges. The last is 0.4 px, three times
+the spread of clear edges at the true pose."""
 BLUNTNESS_PX = 1.4
 """Standard deviation of an edge's position by noise, px, per noise of its change over the change itself.
 Hand: about the width over which a change is blurred; expected errors are proportional to it."""
@@ -59,7 +60,7 @@ class EdgeSight(NamedTuple):
     lens: Lens
     patch: Patch
     expected: ExpectedEdges
-    """The samples that the image may show, by a rendering near the pose."""
+    """The samples that the image likely shows, by a rendering near the pose."""
 
 
 class DepthErrors(NamedTuple):
@@ -91,8 +92,12 @@ class EdgeErrors(NamedTuple):
     """Greatest number of samples that count, since neighbours share their errors."""
     reach_px: float
     """Half length of the search in the last steps; edges count less while it is longer."""
+    scale: float = SCALE
+    """Geman-McClure scale of a residual over the reach of the search."""
     px_per_m: float = 0.0
     """Motion in the image by a motion across the sight, at the depth of what is seen."""
+    independent: float = 1.0
+    """Share of the samples whose errors count as independent: nearer ones in the image share their pixels."""
 
 
 class JointProblem(NamedTuple):
@@ -109,6 +114,11 @@ class JointProblem(NamedTuple):
     """Geman-McClure scale of the points, m, and reach of the edges' search, px, by step, shape (S, 2)."""
 
 
+def near_the_pose(problem: JointProblem, planes: Planes) -> JointProblem:
+    """Return the problem of the last steps: distances from planes, and changes of other edges left out."""
+    return problem._replace(planes=planes, edge_errors=problem.edge_errors._replace(scale=LAST_SCALE))
+
+
 class EdgeEvidence(NamedTuple):
     """Statistics of the edge samples."""
 
@@ -117,11 +127,11 @@ class EdgeEvidence(NamedTuple):
     inliers: int
     """Number of samples within the Geman-McClure scale."""
     checked: int
-    """Number of samples more likely seen than not whose place in the image could be searched."""
+    """Number of samples whose place in the image could be searched."""
     found: int
-    """Number of these within the scale."""
+    """Number of these that are near their place: within ``SCALE`` of the reach."""
     expected: float
-    """Expected number of these within the scale at the right pose."""
+    """Expected number of these near their place at the right pose."""
     shifted: int
     """Number of inliers beside saturated pixels."""
     noise_px2: float
@@ -155,7 +165,7 @@ class JointFit(NamedTuple):
 
 @kernel
 def add_edge_points(
-    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, noise_px: float
+    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, errors: EdgeErrors
 ) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
@@ -170,13 +180,13 @@ def add_edge_points(
         sight: edges, those expected, lens and image.
         pose: pose to linearise at.
         reach: half length of the search, px.
-        noise_px: standard deviation of an edge's position in the image.
+        errors: assumed errors of edges.
     """
     edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
-    c2, shift = (SCALE * reach) ** 2, no_sums()
+    near2, c2, shift = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
@@ -194,12 +204,11 @@ def add_edge_points(
         place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
         if change < 0.0:
             continue
-        e2, likely = place * place, expected_edges.probability[m]
-        if likely >= 0.5:
-            checked += 1
-            found += change > 0.0 and e2 < c2
-            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-            expected += likely * share_within(SCALE * reach, noise_px, noisy_px)
+        e2 = place * place
+        checked += 1
+        found += change > 0.0 and e2 < near2
+        noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+        expected += expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
         if change == 0.0:
             continue
         gx = across * at.column_by_x + down * at.row_by_x
@@ -209,7 +218,7 @@ def add_edge_points(
         if e2 < c2:
             inliers += 1
             squares += e2
-            noise_px2 += (BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)) ** 2
+            noise_px2 += noisy_px**2
             darker = darker_side(patch, Profile(column, row, across, down), place)
             if darker != 0.0:
                 shifted += 1
@@ -259,7 +268,7 @@ def _shares(problem: JointProblem, points: FieldEvidence, edges: EdgeEvidence, r
         of_points = 1.0 / (weight * (variance + depth.uneven_m**2 + depth.slack_m**2))
     if edges.inliers > 0:
         variance = max(edges.squares_px2 / edges.inliers, edge_errors.noise_px**2)
-        variance /= min(edge_errors.most_edges, edges.inliers)
+        variance /= min(edge_errors.most_edges, edge_errors.independent * edges.inliers)
         widened = (reach / edge_errors.reach_px) ** 4
         variance += (SHIFT_PX * edges.shifted / edges.inliers) ** 2
         of_edges = 1.0 / (edges.inliers * widened * (variance + (depth.slack_m * edge_errors.px_per_m) ** 2))
@@ -271,7 +280,7 @@ def joint_shares(problem: JointProblem, state: State) -> Shares:
     """Return the weights of points and edges in the last step of a problem, at a pose."""
     scale, reach = problem.schedule[-1]
     points = add_depth_points(no_sums(), problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors)
     return _shares(problem, points, edges, reach)
 
 
@@ -281,7 +290,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
-    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors.noise_px)
+    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
     return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
 
 
@@ -298,7 +307,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     scale, reach = problem.schedule[step]
     of_points, of_edges, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
     points = add_depth_points(of_points, problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors.noise_px)
+    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors)
     shares = _shares(problem, points, edges, reach)
     of_points, of_edges = shares.points * of_points, shares.edges * of_edges
     parts = np.zeros((3, SUMS))
@@ -311,8 +320,9 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     if edges.inliers > 0:
         per_variance = shares.edges * edges.inliers
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
-        excess /= min(problem.edge_errors.most_edges, edges.inliers)
-        parts[0] += per_variance * edges.noise_px2 / edges.inliers**2 * of_edges
+        independent = problem.edge_errors.independent * edges.inliers
+        excess /= min(problem.edge_errors.most_edges, independent)
+        parts[0] += per_variance * edges.noise_px2 / (edges.inliers * independent) * of_edges
         parts[2] += per_variance * excess * of_edges
     total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2

@@ -76,7 +76,7 @@ class JointFrame:
     shade: FloatArray
     """Amplitude of the coarse pixels, same shape; 0 where a glint saturates, NaN if unknown."""
     typical: float
-    """Median amplitude of the pixels with depth; 0 if these are too few."""
+    """Median amplitude of the pixels with depth, or that of the patch if these are too few; 0 if unknown."""
     points_m: FloatArray
     """Points of the depth, sensor axes, shape (N, 3)."""
     pixel: NDArray[np.intp]
@@ -140,15 +140,16 @@ class JointFrame:
         rays = view.coarse.components.reshape(3, -1)[:, measured]
         points_m = np.ascontiguousarray((rays * range_m.ravel()[measured]).T)
         strength = strengths.ravel()[measured]
-        typical = float(np.median(strength)) if len(measured) else 1.0
+        typical = float(np.median(strength)) if len(measured) else 0.0
         noise = sigma_m.ravel()[measured]
         noise_m = float(np.median(noise)) if len(measured) else 0.0
         trust = _trust(noise, strength, tuning.depth.noise_m)
         whole = max(float(trust.sum()), 1e-12)
-        typical = typical if len(measured) >= tuning.acceptance.min_points else 0.0
         patch = _NO_PATCH
         if frame.amplitude is not None:
             patch = _patch(frame, frame.amplitude, around, typical=typical, config=tuning.edges)
+        if len(measured) < tuning.acceptance.min_points:
+            typical = patch.typical
         shade[_unknown_shade(frame, view)] = np.nan
         pixels_around, per_px = _rays_of(patch, view, around)
         frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
@@ -180,11 +181,7 @@ class JointFrame:
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
 
     def depth_errors(self, assumed: DepthErrors) -> DepthErrors:
-        """Return the assumed errors of the depth with what the frame tells of them.
-
-        ``bias_m`` is the wiggling of a camera. What the target's near and far end have not in common of it is
-        uneven.
-        """
+        """Return the assumed errors of the depth; what a target's ends do not share of the bias is uneven."""
         uneven_m = math.hypot(assumed.uneven_m, assumed.bias_m * math.sqrt(self.uneven_share))
         return assumed._replace(uneven_m=uneven_m, white_m2=self.white_m2, spread_m2=self.spread_m2)
 

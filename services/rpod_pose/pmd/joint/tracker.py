@@ -25,12 +25,10 @@ from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.belief import frame_belief
 from rpod_pose.pmd.joint.depth_points import Planes
-from rpod_pose.pmd.joint.edge_consistency import (
-    by_distances,
-    edges_in_place,
-)
+from rpod_pose.pmd.joint.edge_consistency import by_distances, edges_in_place
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -48,6 +46,7 @@ from rpod_pose.pmd.joint.fit import (
     align,
     cell_information,
     joint_shares,
+    near_the_pose,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
@@ -94,7 +93,8 @@ class JointTracker:
         tuning = config.tuning
         self._tuning, self._target = tuning, target
         self._ranges = tuning.depth.calibrated if calibrated else tuning.depth.raw
-        edges = EdgeModel.of(target, spacing_m=tuning.edges.spacing_share * target.radius_m)
+        self._spacing_m = tuning.edges.spacing_share * target.radius_m
+        edges = EdgeModel.of(target, spacing_m=self._spacing_m)
         self._triangles_m = np.ascontiguousarray(target.triangles_m)
         self._edges = edges.arrays
         self._field, self._renderer = field_arrays(target), PatchRenderer(target, tuning.edges)
@@ -208,7 +208,7 @@ class JointTracker:
             sight = self._sight_at(seen, sight, state.pose)
             state = align(self._problem(seen, sight, first), state).state
         problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last)
-        problem = problem._replace(planes=self._planes(seen, state.pose))
+        problem = near_the_pose(problem, self._planes(seen, state.pose))
         return align(problem, state), problem
 
     def _least_scale_m(self, seen: JointFrame) -> float:
@@ -219,7 +219,9 @@ class JointTracker:
     def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
         errors = seen.depth_errors(self._depth_errors)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
-        edges = self._edge_errors._replace(px_per_m=seen.lens.fx / seen.away_m)
+        px_per_m = seen.lens.fx / seen.away_m
+        independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
+        edges = self._edge_errors._replace(px_per_m=px_per_m, independent=independent)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
 
     def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:
@@ -275,9 +277,8 @@ class JointTracker:
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
-        whole = alone
-        if self._model_error.matters:
-            whole = self._considered(seen, fit, problem, shares, alone)
+        matters = self._model_error.matters
+        whole = self._considered(seen, fit, problem, shares, alone) if matters else alone
         return uncertainty(
             fit,
             alone,
@@ -323,9 +324,8 @@ class JointTracker:
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
         """Return the share of the expected edges near their place at a pose; None if few are seen."""
         tuning = self._tuning
-        wider = float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
-        reach = tuning.edges.final_search_px * wider
-        found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors.noise_px)
+        reach = tuning.edges.final_search_px * float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
+        found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         if found.checked < tuning.acceptance.min_edges:
             return None
         return found.found / max(found.expected, 1.0)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,13 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid
 from rpod_pose.methods import methods_of
-from rpod_pose.pmd.depth_preparation import DepthPreparation, PreparedAcquirer, calibrated
+from rpod_pose.pmd.depth_preparation import (
+    DepthPreparation,
+    PreparedAcquirer,
+    PreparedTracker,
+    calibrated,
+)
 from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import PmdInfo, Source
 from rpod_target import load_target
+from rpod_target.equivalence import Symmetry
 
 MHZ_20, MHZ_30 = 20.013e6, 30e6
 OBLIQUE = Rotation.from_euler("ZYX", [12.0, 65.0, 5.0], degrees=True)
@@ -206,6 +213,57 @@ def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
     frame = seen_by(depth_frame(target, pose_at(9.0)), MHZ_20)
     PreparedAcquirer(inner, DepthPreparation(PmdInput(), target)).near(frame, pose_at(9.2))
     assert inner.tried_m[0] == pytest.approx(9.0, abs=0.6)
+
+
+# --- what a frame leaves undetermined ---
+
+
+class Sliding:
+    """An acquirer and tracker whose pose is unknown in one direction, shape (6,), by 2 m or 115 deg."""
+
+    def __init__(self, open_direction):
+        covariance = 1e-6 * np.eye(6) + 4.0 * np.outer(open_direction, open_direction)
+        self._found = Registration(Source.PMD_JOINT, pose_at(2.0), covariance=covariance)
+
+    def acquire(self, _):
+        return Acquisition(self._found)
+
+    def near(self, *_):
+        return Acquisition(self._found)
+
+    def track(self, *_):
+        return self._found
+
+
+@pytest.mark.parametrize(("axis", "words"), [(0, "the position is"), (4, "the attitude is")])
+def test_no_track_begins_at_a_pose_that_the_frame_leaves_undetermined(target, axis, words):
+    ideal = depth_frame(target, pose_at(2.0))
+    method, preparation = Sliding(np.eye(6)[axis]), DepthPreparation(PmdInput(), target)
+    acquirer, tracker = PreparedAcquirer(method, preparation), PreparedTracker(method, preparation)
+    for found in (
+        acquirer.acquire(ideal),
+        acquirer.near(ideal, pose_at(2.0)),
+        tracker.track(ideal, pose_at(2.0)),
+    ):
+        assert not found.begins_track
+        assert found.belief.refusal.startswith(words)
+
+
+@pytest.mark.parametrize("part", [slice(0, 3), slice(3, 6)])
+def test_errors_that_each_frame_of_a_camera_has_do_not_hinder_a_first_pose(target, part):
+    """A target may be small for the errors of ranges that are not calibrated, as a bottle is."""
+    shared = np.zeros(6)
+    shared[part] = 0.17 * target.radius_m if part.start == 0 else np.radians(17.0)
+    acquirer = PreparedAcquirer(Sliding(shared), DepthPreparation(PmdInput(), target))
+    assert acquirer.acquire(depth_frame(target, pose_at(2.0))).begins_track
+
+
+def test_the_angle_about_a_free_axis_may_stay_undetermined(target):
+    ideal = depth_frame(target, pose_at(2.0))
+    axis = np.array((0.0, 1.0, 0.0))
+    revolved = replace(target, symmetries=(Symmetry(tuple(axis), order=12, exact=True, continuous=True),))
+    method = Sliding(np.concatenate((np.zeros(3), OBLIQUE.apply(axis))))
+    assert PreparedAcquirer(method, DepthPreparation(PmdInput(), revolved)).acquire(ideal).begins_track
 
 
 # --- frames of another camera ---

@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,25 @@ from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
+from rpod_pose.pmd.joint.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
+from rpod_pose.pmd.joint.fit import (
+    LAST_SCALE,
+    SCALE,
+    DepthErrors,
+    EdgeErrors,
+    EdgeEvidence,
+    EdgeSight,
+    _shares,
+    add_edge_points,
+)
+from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
+from rpod_pose.registration.field_alignment import FieldEvidence
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
@@ -23,6 +41,8 @@ CAMERA = PmdConfig().model_copy(
     update={"pixel": PmdConfig().pixel.model_copy(update={"wiggling_share": 0.0})}
 )
 CALIBRATED_WIGGLING = 0.005
+MOST_CAUTIOUS = 1.25
+"""Greatest standard deviation that is assumed over that of the errors."""
 """What a calibration leaves of the wiggling, as a share."""
 SUN_W_M2 = np.array((500.0, -600.0, -900.0))
 TRACKER = JointTracker(JointConfig(), MOCKUP)
@@ -113,6 +133,49 @@ def test_edges_go_on_alone_where_all_depth_is_lost() -> None:
         assert (registration.source, registration.belief.reason) == (Source.PMD_AMPLITUDE, "")
         errors.append(error(registration, T))
     assert_within(tuple(np.median(errors, axis=0)), 0.4, 0.01)
+
+
+def test_the_brightness_of_a_target_with_little_depth_is_told_by_its_amplitude() -> None:
+    whole = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    row, column = np.mgrid[:287, :352]
+    few = np.where((row % 40 < 4) & (column % 40 < 4), FRAME.depth_m, np.float32(np.nan))
+    dim = (FRAME.amplitude // 20 + 1).astype(np.uint16)  # the sky is 1
+    seen = FRAME.model_copy(update={"depth_m": few, "amplitude": dim})
+    found = JointFrame.of(seen, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(whole, JointFrame)
+    assert isinstance(found, JointFrame)
+    assert 0 < len(found.points_m) < JointConfig().tuning.acceptance.min_points
+    assert found.typical == found.patch.typical == pytest.approx(whole.patch.typical / 20.0 + 1.0, rel=0.1)
+
+
+def test_changes_half_a_pixel_from_an_edge_are_left_out_in_the_last_steps() -> None:
+    tuning = JointConfig().tuning
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=tuning)
+    assert isinstance(seen, JointFrame)
+    pose, edges = PoseArrays.of(TRUTH), EdgeModel.of(MOCKUP, spacing_m=0.02).arrays
+    shown = PatchRenderer(MOCKUP, tuning.edges).render(seen.rays, seen.per_px, pose)
+    sight = EdgeSight(edges, seen.lens, seen.patch, expect_edges(edges, seen.lens, seen.patch, shown))
+    aside = pose._replace(t=pose.t + np.array((0.5 * pose.t[2] / seen.lens.fx, 0.0, 0.0)))
+    errors = EdgeErrors(tuning.edges.sigma_px, 300.0, 3.0)
+    first, last = (
+        add_edge_points(no_sums(), sight, aside, 3.0, errors._replace(scale=scale))
+        for scale in (SCALE, LAST_SCALE)
+    )
+    assert last.found == first.found > 100
+    assert last.inliers < 0.8 * first.inliers
+
+
+def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than_the_blur() -> None:
+    apart_px = correlation_px(JointConfig().tuning.edges.blur_px)
+    shares = []
+    for independent in (1.0, 0.5):
+        errors = EdgeErrors(0.3, 300.0, 3.0, independent=independent)
+        edges = EdgeEvidence(100 * 0.3**2, 100, 100, 100, 100.0, 0, 0.0, np.zeros(35))
+        depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.0, slack_m=0.0)
+        problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)
+        shares.append(_shares.py_func(problem, FieldEvidence(0.0, 0.0, 0, 0.0), edges, 3.0).edges)
+    assert shares[1] == pytest.approx(0.5 * shares[0])
+    assert 2.0 < apart_px < 3.0
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -244,7 +307,7 @@ def test_from_a_good_prediction_the_covariance_is_as_large_as_the_errors() -> No
         e = np.concatenate((found.translation - T.translation, turn))
         nees.append(e @ np.linalg.solve(registration.covariance, e))
     least, most = chi2.ppf((0.005, 0.995), 6 * len(nees)) / len(nees)  # of the mean of independent ones
-    assert least < np.mean(nees) < most
+    assert least / MOST_CAUTIOUS**2 < np.mean(nees) < most
 
 
 def test_what_the_view_does_not_show_is_uncertain() -> None:

@@ -140,5 +140,6 @@ def test_the_refinement_never_makes_a_pose_worse():
         rotation=POSE.rotation * Rotation.from_rotvec([0.03, 0.0, 0.02]), translation_m=(0.02, 0.0, 4.01)
     )
     R, t = off.rotation.as_matrix(), off.translation
-    refined = fitter.outline_refined(R, t, np.full(6, 0.02), draws)
+    *refined, deviations = fitter.outline_refined(R, t, np.full(6, 0.02), draws)
     assert fitter.fit(*refined).loss < fitter.fit(R, t).loss
+    assert (deviations < 0.02).all()

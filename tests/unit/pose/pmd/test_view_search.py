@@ -13,7 +13,7 @@ from rpod_pose.pmd import view_search
 from rpod_pose.pmd.fit import PmdFit
 from rpod_pose.pmd.frame_search import Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
-from rpod_pose.pmd.view_search import ViewSearch
+from rpod_pose.pmd.view_search import ViewSearch, _Aligned
 from rpod_pose.ports import Outcome, Registration
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
@@ -160,7 +160,10 @@ def rear_face() -> PmdFrame:
 
 
 def test_rivals_that_the_alignment_leads_to_one_pose_are_that_pose():
-    result = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(to=REAR)).acquire(rear_face())
+    depth_m = depth_frame(target("mockup"), REAR).depth_m
+    rear_face_alone = frame_of(np.where(depth_m < 3.4, depth_m, np.nan))  # without the camera's error
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(to=REAR))
+    result = search.acquire(rear_face_alone)
     assert (result.outcome, len(result.hypotheses)) == (Outcome.ACCEPTED, 1)
 
 
@@ -171,6 +174,59 @@ def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_frame_better
     assert result.belief.reason.endswith(
         "explains the frame better than those that are not: edges are elsewhere"
     )
+
+
+def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_frame_is_not_accepted():
+    result = ViewSearch(
+        PmdAcquisitionConfig(),
+        target("mockup"),
+        Judging(
+            to=make_pose(
+                rotation=Rotation.from_rotvec((0.2, 0.0, 0.0)) * OBLIQUE.rotation,
+                translation_m=OBLIQUE.translation,
+            )
+        ),
+    ).acquire(seen("mockup", OBLIQUE))
+    assert result.outcome is Outcome.FAILED
+    assert "leads away from a pose that explains the frame" in result.belief.reason
+
+
+def aligned_pose(turn_deg: float, losses: tuple[float, float], belief: Belief | None = None) -> _Aligned:
+    """Return a pose turned from the oblique one, with its losses before and after its alignment."""
+    T = make_pose(rotation=Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation)
+    registration = Registration(Source.PMD_JOINT, T, belief or Belief(), covariance=np.zeros((6, 6)))
+    R, t = PoseArrays.of(T)
+    return _Aligned(R, t, t, registration, np.array(losses))
+
+
+def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_better_is_taken():
+    ended = [
+        aligned_pose(0.0, (100.0, 160.0)),
+        aligned_pose(90.0, (110.0, 200.0)),
+        aligned_pose(2.0, (200.0, 150.0)),
+    ]
+    best, other = searching("mockup")._merged(ended, 1.0)
+    assert best.R is ended[2].R
+    assert best.losses.tolist() == [100.0, 150.0]
+    assert other.losses.tolist() == [110.0, 200.0]
+    assert np.sqrt(best.registration.covariance[3, 3]) < np.radians(0.02)
+
+
+def test_alignments_that_end_beside_each_other_and_explain_the_frame_alike_are_in_the_covariance():
+    ended = [aligned_pose(0.0, (100.0, 150.0)), aligned_pose(2.0, (200.0, 149.0))]
+    (best,) = searching("mockup")._merged(ended, 1.0)
+    share = 1.0 / (1.0 + np.exp(-1.0))
+    assert best.R is ended[0].R
+    assert best.registration.covariance[3, 3] == pytest.approx(share * np.radians(2.0) ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "gain", "better"), [(2.0, 5.0, False), (2.0, 10.0, True), (90.0, 5.0, True)]
+)
+def test_a_refused_pose_beside_the_best_must_be_better_than_noise_makes_it(turn_deg, gain, better):
+    best = aligned_pose(0.0, (100.0, 100.0))
+    refused = aligned_pose(turn_deg, (100.0 - gain, 200.0), contradicted("it led away"))
+    assert searching("mockup")._better(best, [best, refused], 1.0) == ("it led away" if better else "")
 
 
 class Undecided:
