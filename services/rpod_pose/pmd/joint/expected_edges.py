@@ -8,10 +8,10 @@ show that edge: both places are found by the same search (``steepest``), so that
 
 A user knows materials only roughly. If the logarithm of the change has a standard deviation s, then the
 probability that the image shows more than the least change that counts is Phi(ln(change / least) / s). s
-contains the spread of the albedo's logarithm and the noise of the image. An edge that is more likely hidden
-than shown is not searched. The steepest change near it is nearly always that of something else, as of another
-edge with which it would merge. On foreign CAD files at the true pose, such changes lie as they would by
-chance, and some of them confirm a wrong pose.
+contains the spread of the albedo's logarithm and the noise of the image. An edge that the rendering does not
+show is searched in its geometric place, since its faces may differ more than their classes do; but it is not
+expected, so it proves nothing if it is missing. It is left out where the rendering shows another edge so near
+that both would be one change in the image: the search would find that of the other edge.
 """
 
 import math
@@ -54,9 +54,6 @@ change."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts. Hand: a fainter one tells nothing of the
 place."""
-LIKELY = 0.5
-"""Least probability that the image shows an edge, for the edge to be searched. Physics: a less likely one is
-rather that of something else."""
 TYPICAL_SAMPLES = 1000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
 computation."""
@@ -141,7 +138,7 @@ class PatchRenderer:
 
 
 class ExpectedEdges(NamedTuple):
-    """Samples that the image likely shows; each array has the shape (N,)."""
+    """Samples that the image may show; each array has the shape (N,)."""
 
     pose: PoseArrays
     """Pose of the rendering."""
@@ -167,7 +164,7 @@ class ExpectedEdges(NamedTuple):
 
 @kernel
 def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> ExpectedEdges:
-    """Return the samples of edges that a rendering likely shows.
+    """Return the samples of edges that a rendering does not hide.
 
     Args:
         edges: the model's samples.
@@ -206,22 +203,34 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if taken[i, j, way]:
             continue
         taken[i, j, way] = True
-        seen = steepest(shade, Profile(u, v, across, down), OWN_PX, faintest)
-        if seen.change <= 0.0 or abs(seen.place) > OWN_PX:
+        line = Profile(u, v, across, down)
+        seen = steepest(shade, line, OWN_PX, faintest)
+        own = seen.change > 0.0 and abs(seen.place) <= OWN_PX
+        if not own and merges(shade, line, faintest):
             continue
-        change = gain * seen.change
+        change = gain * seen.change if own else LEAST_RATIO * patch.least
         deviation = math.hypot(spread, patch.noise / change)
-        likely = 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
-        if likely < LIKELY:
-            continue
         sample[count] = n
-        place[count] = seen.place if abs(seen.place) > ALIASED_PX else 0.0
-        probability[count] = likely
+        place[count] = seen.place if own and abs(seen.place) > ALIASED_PX else 0.0
+        probability[count] = 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
         expected_change[count] = change
         count += 1
     return ExpectedEdges(
         shown.pose, sample[:count], place[:count], probability[:count], expected_change[:count]
     )
+
+
+@kernel
+def merges(shade: Float32Array, line: Profile, faintest: float) -> bool:
+    """Return whether a rendering shows a change so near that one in the middle of a line would merge with it.
+
+    Args:
+        shade: the rendering, shape (rows, columns).
+        line: line across an edge.
+        faintest: least change of the rendering.
+    """
+    other = steepest(shade, line, math.ceil(MERGED_PX), faintest)
+    return other.change > 0.0 and abs(other.place) <= MERGED_PX
 
 
 @kernel

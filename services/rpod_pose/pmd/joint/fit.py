@@ -60,7 +60,7 @@ class EdgeSight(NamedTuple):
     lens: Lens
     patch: Patch
     expected: ExpectedEdges
-    """The samples that the image likely shows, by a rendering near the pose."""
+    """The samples that the image may show, by a rendering near the pose."""
 
 
 class DepthErrors(NamedTuple):

@@ -48,13 +48,17 @@ def expected(
     return model, expect_edges(model.arrays, LENS, patch, shown)
 
 
+def likely(seen: ExpectedEdges) -> np.ndarray:
+    return seen.sample[seen.probability >= 0.5]
+
+
 def test_edges_of_faces_that_are_turned_away_are_not_expected() -> None:
     model, seen = expected(HEXAGON)
     towards = -AHEAD.translation - model.places_m
     faces = np.einsum("nsk,nk->ns", model.normals, towards)
     assert 0 < len(seen.sample) < len(model.places_m)
     assert (faces[seen.sample].max(axis=1) > 0.0).all()
-    assert (seen.probability > 0.5).all()
+    assert len(likely(seen)) > 0.8 * len(seen.sample)
 
 
 def test_what_stands_before_an_edge_hides_it() -> None:
@@ -81,15 +85,17 @@ def plate(tmp_path_factory: pytest.TempPathFactory) -> Target:
     return load_target(folder / "plate.yaml", cache=folder / "cache")
 
 
-@pytest.mark.parametrize("side_deg", [22.0, 60.0])
-def test_an_edge_that_the_rendering_does_not_show_is_not_searched(plate: Target, side_deg: float) -> None:
+@pytest.mark.parametrize(("side_deg", "lines"), [(22.0, 2), (60.0, 3)])
+def test_an_edge_that_merges_with_one_that_shows_is_left_out(
+    plate: Target, side_deg: float, lines: int
+) -> None:
     """The narrow side is 1.3 px wide at 22 deg, and 3 px at 60 deg; its inner edge does not show."""
     turned = Rotation.from_euler("xy", (-90.0, side_deg), degrees=True)
     pose = make_pose(rotation=turned, translation_m=AHEAD.translation)
     model, seen = expected(plate, pose, outline=True)
     long = np.abs(model.directions[seen.sample][:, 2]) > 0.9
     places_m = model.places_m[seen.sample][long]
-    assert len(np.unique(places_m[:, :2].round(3), axis=0)) == 2
+    assert len(np.unique(places_m[:, :2].round(3), axis=0)) == lines
 
 
 @pytest.mark.parametrize(("per_px", "off_px"), [(1, 0.3), (2, 0.15)])
@@ -116,10 +122,12 @@ def test_edges_closer_than_a_pixel_are_one_change() -> None:
     assert len(small.sample) < 0.5 * len(near.sample)
 
 
-def test_edges_that_the_noise_of_the_image_hides_are_not_searched() -> None:
-    _, clear = expected(HEXAGON, noise=0.5)
-    _, noisy = expected(HEXAGON, noise=60.0)
-    assert len(noisy.sample) < 0.1 * len(clear.sample)
+@pytest.mark.parametrize(("noise", "share"), [(0.5, (0.8, 1.0)), (60.0, (0.0, 0.1))])
+def test_the_noise_of_the_image_decides_what_is_expected_to_be_seen(
+    noise: float, share: tuple[float, float]
+) -> None:
+    _, seen = expected(HEXAGON, noise=noise)
+    assert share[0] <= len(likely(seen)) / len(seen.sample) <= share[1]
 
 
 def test_nothing_is_expected_outside_the_image() -> None:
