@@ -249,10 +249,8 @@ class PmdFitter:
             deviations: sigmas of (dtau, dtheta) as in ``normal_equations``, m and rad, shape (6,).
             draws: standard normal samples, shape (rounds, samples, 6).
         """
-        refined: tuple[FloatArray, FloatArray, FloatArray] = _outline_refined(
-            self._compared, R, t, deviations, draws
-        )
-        return refined
+        best_R, best_t, spread = _outline_refined(self._compared, R, t, deviations, draws)
+        return best_R, best_t, spread
 
 
 def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:
