@@ -18,7 +18,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 _UNITS_M = 1.0, 1e-3, 2.5e-4, 1e-4
-"""Units in which drivers give depths: of REP 118 (32FC1, 16UC1), and finer steps of devices (RealSense)."""
+"""Units in which drivers give depths. Physics: of REP 118 (32FC1, 16UC1), and finer steps of devices
+(RealSense)."""
 _RATIOS = sorted({one / other for one in _UNITS_M for other in _UNITS_M if one > other})
 
 

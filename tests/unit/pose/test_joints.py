@@ -62,7 +62,7 @@ def target(tmp_path_factory):
 
 
 def scan_of(target, pose, angle_rad):
-    (scan,) = ideal_scan(posed(target, {"drive": angle_rad}), pose, PATTERN)
+    scan, _ = ideal_scan(posed(target, {"drive": angle_rad}), pose, PATTERN)
     return scan
 
 

@@ -87,7 +87,7 @@ def test_a_camera_loses_the_pixels_of_such_a_part_and_no_others(target):
 
 def test_a_turned_array_moves_the_pose_only_where_it_is_relied_on(target, load):
     truth = load("turned", roll_deg=12.0)
-    (scan,) = ideal_scan(truth, POSE, PATTERN)
+    scan, _ = ideal_scan(truth, POSE, PATTERN)
     start = make_pose(
         rotation=POSE.rotation * Rotation.from_rotvec([0.02, -0.03, 0.02]),
         translation_m=POSE.translation + 0.03,
