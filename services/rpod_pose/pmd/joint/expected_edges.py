@@ -10,8 +10,7 @@ A user knows materials only roughly. If the logarithm of the change has a standa
 probability that the image shows more than the least change that counts is Phi(ln(change / least) / s). s
 contains the spread of the albedo's logarithm and the noise of the image. An edge that the rendering does not
 show is searched in its geometric place, since its faces may differ more than their classes do; but it is not
-expected, so it proves nothing if it is missing. It is left out where the rendering shows another edge so near
-that both would be one change in the image: the search would find that of the other edge.
+expected, so it proves nothing if it is missing.
 """
 
 import math
@@ -43,9 +42,6 @@ NEAR_M = 0.05
 """Least z of a sample that is projected. Physics: no camera measures nearer."""
 OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
-MERGED_PX = 1.7
-"""Distance below which two steps have one steepest change. Physics: two standard deviations of the smoothing,
-which is that of ``blur_px`` (0.8 px) and of the pixels (0.3 px)."""
 ALIASED_PX = 0.25
 """Displacement below which an edge lies on itself. Physics: rays half a pixel apart show it no better."""
 DIRECTIONS = 4
@@ -203,11 +199,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if taken[i, j, way]:
             continue
         taken[i, j, way] = True
-        line = Profile(u, v, across, down)
-        seen = steepest(shade, line, OWN_PX, faintest)
+        seen = steepest(shade, Profile(u, v, across, down), OWN_PX, faintest)
         own = seen.change > 0.0 and abs(seen.place) <= OWN_PX
-        if not own and merges(shade, line, faintest):
-            continue
         change = gain * seen.change if own else LEAST_RATIO * patch.least
         deviation = math.hypot(spread, patch.noise / change)
         sample[count] = n
@@ -218,19 +211,6 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
     return ExpectedEdges(
         shown.pose, sample[:count], place[:count], probability[:count], expected_change[:count]
     )
-
-
-@kernel
-def merges(shade: Float32Array, line: Profile, faintest: float) -> bool:
-    """Return whether a rendering shows a change so near that one in the middle of a line would merge with it.
-
-    Args:
-        shade: the rendering, shape (rows, columns).
-        line: line across an edge.
-        faintest: least change of the rendering.
-    """
-    other = steepest(shade, line, math.ceil(MERGED_PX), faintest)
-    return other.change > 0.0 and abs(other.place) <= MERGED_PX
 
 
 @kernel

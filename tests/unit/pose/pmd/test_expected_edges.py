@@ -1,9 +1,7 @@
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 from tests.pmd_frames import CAMERA
 
@@ -33,18 +31,14 @@ def expected(
     hider: Target | None = None,
     noise: float = 0.5,
     per_px: int = 2,
-    outline: bool = False,
 ) -> tuple[EdgeModel, ExpectedEdges]:
-    """Return a target's edges, and those expected at a pose behind another body; by its outline alone."""
+    """Return a target's edges, and those expected at a pose behind another body."""
     model = EdgeModel.of(target, spacing_m=0.02)
     image = np.zeros((CAMERA.height, CAMERA.width), np.float32)
     patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0)
     renderer = PatchRenderer(target if hider is None else hider, JointEdgeConfig())
     shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T))
     assert shown.shade.shape == image.shape
-    if outline:
-        seen = np.isfinite(shown.range_m[::per_px, ::per_px]).astype(np.float32)
-        shown = shown._replace(shade=cv2.GaussianBlur(seen, (0, 0), JointEdgeConfig().blur_px), typical=1.0)
     return model, expect_edges(model.arrays, LENS, patch, shown)
 
 
@@ -65,37 +59,6 @@ def test_what_stands_before_an_edge_hides_it() -> None:
     wall_m = HEXAGON.triangles_m * (1.0, 3.0, 3.0) - (0.0, 0.0, 1.0)
     _, seen = expected(HEXAGON, hider=replace(HEXAGON, triangles_m=wall_m))
     assert len(seen.sample) == 0
-
-
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory: pytest.TempPathFactory) -> Target:
-    """A plate of 20 mm: the edges of its narrow side are close together in the image."""
-    folder = tmp_path_factory.mktemp("plate")
-    paint = {"diffuse": 0.4, "f0": 0.02, "roughness": 0.3}
-    plain = {"shape": "box", "material": "paint"}
-    document = {
-        "name": "plate",
-        "mass_kg": 5.0,
-        "materials": {"paint": paint | {"reflectivity": 0.5}},
-        "parts": [plain | {"name": "plate", "size_m": [0.4, 0.02, 0.8]}],
-        "distance_field": {"spacing_m": 0.02, "margin_m": 0.2},
-        "model_points": 200,
-    }
-    (folder / "plate.yaml").write_text(yaml.safe_dump(document))
-    return load_target(folder / "plate.yaml", cache=folder / "cache")
-
-
-@pytest.mark.parametrize(("side_deg", "lines"), [(22.0, 2), (60.0, 3)])
-def test_an_edge_that_merges_with_one_that_shows_is_left_out(
-    plate: Target, side_deg: float, lines: int
-) -> None:
-    """The narrow side is 1.3 px wide at 22 deg, and 3 px at 60 deg; its inner edge does not show."""
-    turned = Rotation.from_euler("xy", (-90.0, side_deg), degrees=True)
-    pose = make_pose(rotation=turned, translation_m=AHEAD.translation)
-    model, seen = expected(plate, pose, outline=True)
-    long = np.abs(model.directions[seen.sample][:, 2]) > 0.9
-    places_m = model.places_m[seen.sample][long]
-    assert len(np.unique(places_m[:, :2].round(3), axis=0)) == lines
 
 
 @pytest.mark.parametrize(("per_px", "off_px"), [(1, 0.3), (2, 0.15)])
