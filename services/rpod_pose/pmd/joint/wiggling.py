@@ -63,4 +63,4 @@ def uneven_share(range_m: FloatArray, weights: FloatArray, frequencies_hz: Float
         return 0.0
     phase = 2.0 * np.pi * PERIODS / speed_of_light * np.outer(frequencies_hz, range_m)
     mean = np.exp(1j * phase) @ weights / weights.sum()
-    return float((1.0 - np.square(np.abs(mean))).mean())
+    return max(0.0, 1.0 - float(np.square(np.abs(mean)).mean()))  # rounding may leave less than 0
