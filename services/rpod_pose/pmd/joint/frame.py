@@ -15,7 +15,6 @@ from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_pose.pmd.joint.fit import DepthErrors
-from rpod_pose.pmd.joint.wiggling import uneven_share
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
@@ -89,9 +88,6 @@ class JointFrame:
     """Variance of the points' weighted mean by this noise, times the sum of their weights."""
     spread_m2: float
     """Mean variance of this noise, by the points' weights."""
-    uneven_share: float
-    """Share of a wiggling's variance that differs between the ranges of the target's points; 0 without a
-    modulation frequency."""
     trust: FloatArray
     """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
     patch: Patch
@@ -166,7 +162,6 @@ class JointFrame:
             noise_m,
             float((trust * noise) @ (trust * noise)) / whole,
             float(trust @ noise**2) / whole,
-            uneven_share(range_m.ravel()[measured[own]], trust[own], frequencies_hz),
             trust,
             patch,
             pixels_around,
@@ -181,9 +176,8 @@ class JointFrame:
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
 
     def depth_errors(self, assumed: DepthErrors) -> DepthErrors:
-        """Return the assumed errors of the depth; what a target's ends do not share of the bias is uneven."""
-        uneven_m = math.hypot(assumed.uneven_m, assumed.bias_m * math.sqrt(self.uneven_share))
-        return assumed._replace(uneven_m=uneven_m, white_m2=self.white_m2, spread_m2=self.spread_m2)
+        """Return the assumed errors of the depth, with the noise of the frame."""
+        return assumed._replace(white_m2=self.white_m2, spread_m2=self.spread_m2)
 
     @property
     def pixels(self) -> CoarsePixels:

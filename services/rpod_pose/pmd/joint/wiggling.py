@@ -46,21 +46,3 @@ def wiggling(
         weights = (1.0 + (left_m / scale_m) ** 2) ** -2
     explained: FloatArray = waves[:, 1:] @ amplitudes[1:]
     return explained - np.median(explained)
-
-
-def uneven_share(range_m: FloatArray, weights: FloatArray, frequencies_hz: FloatArray) -> float:
-    """Return the share of a wiggling's variance that differs between ranges; 0 without a frequency.
-
-    A wave of unknown phase has the share 1 - |m|^2 of its variance about its own mean over the ranges, where
-    m is the mean of exp(i phase).
-
-    Args:
-        range_m: measured ranges, shape (N,), m.
-        weights: their weights, shape (N,).
-        frequencies_hz: modulation frequencies, shape (F,), Hz.
-    """
-    if not weights.any() or not len(frequencies_hz):
-        return 0.0
-    phase = 2.0 * np.pi * PERIODS / speed_of_light * np.outer(frequencies_hz, range_m)
-    mean = np.exp(1j * phase) @ weights / weights.sum()
-    return max(0.0, 1.0 - float(np.square(np.abs(mean)).mean()))  # rounding may leave less than 0
