@@ -14,7 +14,6 @@ from rpod_geometry.rays import GridArrays
 from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
-from rpod_pose.pmd.joint.fit import DepthErrors
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
@@ -149,7 +148,6 @@ class JointFrame:
         shade[_unknown_shade(frame, view)] = np.nan
         pixels_around, per_px = _rays_of(patch, view, around)
         frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
-        own = np.square(points_m - t).sum(axis=1) < radius_m**2
         return cls(
             view,
             range_m,
@@ -158,7 +156,7 @@ class JointFrame:
             typical,
             points_m,
             measured,
-            _away_m(points_m[own], t),
+            _away_m(points_m, t, radius_m),
             noise_m,
             float((trust * noise) @ (trust * noise)) / whole,
             float(trust @ noise**2) / whole,
@@ -174,10 +172,6 @@ class JointFrame:
         """The camera, as the kernels take it."""
         camera = self.view.camera
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
-
-    def depth_errors(self, assumed: DepthErrors) -> DepthErrors:
-        """Return the assumed errors of the depth, with the noise of the frame."""
-        return assumed._replace(white_m2=self.white_m2, spread_m2=self.spread_m2)
 
     @property
     def pixels(self) -> CoarsePixels:
@@ -229,9 +223,10 @@ def _rays_of(patch: Patch, view: DepthView, around: _Window) -> tuple[GridArrays
     return view.rays(per_px).block(*window), per_px
 
 
-def _away_m(points_m: FloatArray, t: FloatArray) -> float:
+def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
     """Return the depth of what is seen of a target. Its origin may lie beside or behind a close camera."""
-    z_m = np.median(points_m[:, 2]) if len(points_m) else t[2]
+    own = np.square(points_m - t).sum(axis=1) < radius_m**2
+    z_m = np.median(points_m[own, 2]) if own.any() else t[2]
     return max(float(z_m), NEAR_M)
 
 

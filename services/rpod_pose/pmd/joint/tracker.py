@@ -217,7 +217,7 @@ class JointTracker:
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
     def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
-        errors = seen.depth_errors(self._depth_errors)
+        errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
         px_per_m = seen.lens.fx / seen.away_m
         independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
