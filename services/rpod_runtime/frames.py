@@ -231,6 +231,8 @@ class LidarReader:
         if points_m.ndim == 3 and not self._rows_are_elevation(points_m):
             points_m = points_m.transpose(1, 0, 2)
             intensity, time_s = (None if each is None else each.T for each in (intensity, time_s))
+        if points_m.ndim == 3:
+            points_m, (intensity, time_s) = self._in_order(points_m, (intensity, time_s))
         return build(
             LidarScan,
             stamp_ns=stamp_ns,
@@ -239,6 +241,21 @@ class LidarReader:
             intensity=intensity,
             time_s=time_s,
         )
+
+    def _in_order(
+        self, points_m: Float32Array, others: tuple[Float32Array | None, ...]
+    ) -> tuple[Float32Array, tuple[Float32Array | None, ...]]:
+        """Return the points of a scan and its other images with its rows in order."""
+        self._inferred.learn_rows(points_m)
+        if self._info is None:
+            in_order = self._inferred.in_order
+            return in_order(points_m), tuple(None if each is None else in_order(each) for each in others)
+        if aside_rad := self._inferred.aside_rad:
+            self._log_once(
+                f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of the info, so that "
+                "misses count for the wrong rays; let the driver destagger its rows, or publish no info"
+            )
+        return points_m, others
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
         """Return the orientation that the points show, else that of the info or of scans before."""

@@ -119,9 +119,19 @@ class RayGrid:
         return type(self)(components)
 
     @classmethod
-    def azimuth_elevation(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
-        """Return rays (sin az cos el, sin el, cos az cos el); rows are elevation, columns azimuth."""
+    def azimuth_elevation(
+        cls, azimuth_rad: FloatArray, elevation_rad: FloatArray, row_azimuth_rad: FloatArray | None = None
+    ) -> Self:
+        """Return rays (sin az cos el, sin el, cos az cos el); rows are elevation, columns azimuth.
+
+        Args:
+            azimuth_rad: azimuths of the columns, shape (columns,).
+            elevation_rad: elevations of the rows, shape (rows,).
+            row_azimuth_rad: azimuth that is added in each row, shape (rows,); None if it is 0.
+        """
         elevation, azimuth = np.meshgrid(elevation_rad, azimuth_rad, indexing="ij")
+        if row_azimuth_rad is not None:
+            azimuth = azimuth + row_azimuth_rad[:, None]
         across = np.cos(elevation)
         return cls(np.stack((np.sin(azimuth) * across, np.sin(elevation), np.cos(azimuth) * across)))
 

@@ -39,7 +39,8 @@ def read_lidar_info(message: Any) -> LidarInfo:
 
 def write_lidar_info(stamp_ns: int, frame_id: str, info: LidarInfo) -> Any:
     """Return an rpod_msgs/LidarInfo."""
-    return message_class("rpod_msgs/msg/LidarInfo")(header=write_header(stamp_ns, frame_id), **dict(info))
+    fields = {name: value for name, value in info if name != "row_azimuth_rad"}
+    return message_class("rpod_msgs/msg/LidarInfo")(header=write_header(stamp_ns, frame_id), **fields)
 
 
 _READERS = {"rpod_msgs/msg/PmdInfo": read_pmd_info, "rpod_msgs/msg/LidarInfo": read_lidar_info}

@@ -5,6 +5,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import model_validator
 
+from rpod_schemas.arrays import VectorN
 from rpod_schemas.bounds import (
     SCAN_DIRECTIONS,
     SCAN_TIME_S,
@@ -21,7 +22,8 @@ class LidarScan(SensorFrame):
     """One scan of a LIDAR."""
 
     points_m: Floats
-    """Points, m, shape (rows, columns, 3) if organised, else (N, 3); NaN for rays without a return."""
+    """Points, m, shape (rows, columns, 3) if organised, else (N, 3); NaN for rays without a return,
+    infinite for rays of which nothing is known."""
     intensity: Floats | None = None
     """Intensities, shape of ``points_m`` without its last axis."""
     time_s: Floats | None = None
@@ -71,6 +73,9 @@ class LidarInfo(SensorInfo):
 
     azimuth_rad: AzimuthsRad
     """Azimuths of the scan pattern, rad; directions are (sin az cos el, sin el, cos az cos el)."""
+    row_azimuth_rad: VectorN | None = None
+    """Azimuth that each row adds to those of the columns, rad, shape (rows,), as points show it. No message
+    has it."""
     elevation_rad: ElevationsRad
     scan_time_s: Annotated[float, bounded(SCAN_TIME_S)]
     rows_are_elevation: bool = True

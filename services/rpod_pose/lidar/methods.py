@@ -83,7 +83,7 @@ class ScanFrames:
     range_bias_m = 0.0
 
     def __init__(self, pattern: ScanPattern) -> None:
-        self._view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
+        self._view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad, pattern.row_azimuth_rad)
 
     def image(self, frame: LidarScan, *, fine: bool) -> RangeImage:  # noqa: ARG002 - rays are few
         """Return the range of each ray of the pattern."""

@@ -84,7 +84,7 @@ class ProjectiveIcp:
             for each in target.symmetries
             if not each.exact and (each.continuous or each.order >= NEARLY_ROUND)
         ]
-        self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad)
+        self.view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad, pattern.row_azimuth_rad)
         self.surface = SurfaceModel.of(target)
         self._model_error = ModelError.of(target)
         self.model = ScanModel(

@@ -17,20 +17,20 @@ class ScanPattern:
     """Azimuths of the columns, shape (columns,)."""
     elevation_rad: FloatArray
     """Elevations of the rows, shape (rows,)."""
-    rows_are_elevation: bool = True
-    """Whether the rows of the scans, as they are sent, are elevations."""
     sigma_range_m: float = 0.0
     """Standard deviation of a range; 0 if the sensor does not state it."""
+    row_azimuth_rad: FloatArray | None = None
+    """Azimuth that each row adds to those of the columns, shape (rows,); None if it is 0."""
 
     @property
     def grid(self) -> RayGrid:
         """Rays of the pattern, shape (rows, columns)."""
-        return RayGrid.azimuth_elevation(self.azimuth_rad, self.elevation_rad)
+        return RayGrid.azimuth_elevation(self.azimuth_rad, self.elevation_rad, self.row_azimuth_rad)
 
     @classmethod
     def of(cls, info: LidarInfo) -> "ScanPattern":
         """Return the scan pattern of a LIDAR's info message."""
-        return cls(info.azimuth_rad, info.elevation_rad, info.rows_are_elevation, info.sigma_range_m)
+        return cls(info.azimuth_rad, info.elevation_rad, info.sigma_range_m, info.row_azimuth_rad)
 
     def __eq__(self, other: object) -> bool:
         """Return whether two patterns have the same directions and the same noise."""
@@ -39,6 +39,7 @@ class ScanPattern:
         return (
             np.array_equal(self.azimuth_rad, other.azimuth_rad)
             and np.array_equal(self.elevation_rad, other.elevation_rad)
+            and _same(self.row_azimuth_rad, other.row_azimuth_rad)
             and self.sigma_range_m == other.sigma_range_m
         )
 
@@ -47,3 +48,9 @@ class ScanPattern:
     def __str__(self) -> str:
         """Return a short text with the pattern's size."""
         return f"scan pattern of {self.elevation_rad.size} x {self.azimuth_rad.size}"
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other)

@@ -38,9 +38,8 @@ class SeenScan:
 
     @property
     def cut_off(self) -> bool:
-        """Whether the pattern's outermost rays have returns: the target may extend beyond them."""
-        image = self.range_m
-        return bool(image[0].any() or image[-1].any() or image[:, 0].any() or image[:, -1].any())
+        """Whether the outermost rays that measured have returns: the target may extend beyond them."""
+        return _ends_return(self.range_m) or _ends_return(self.range_m.T)
 
     def downsampled(self, count: int) -> FloatArray:
         """Return about ``count`` of the points, evenly taken, shape (n, 3)."""
@@ -71,15 +70,18 @@ class ScanView:
 
     azimuth_rad: FloatArray
     elevation_rad: FloatArray
+    row_azimuth_rad: FloatArray | None
     grid: RayGrid
     hits: Hits
     """Buffers that the kernels cast into."""
 
     @classmethod
-    def of(cls, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Self:
-        """Return the view of a pattern."""
-        grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad)
-        return cls(azimuth_rad, elevation_rad, grid, Hits.of(grid))
+    def of(
+        cls, azimuth_rad: FloatArray, elevation_rad: FloatArray, row_azimuth_rad: FloatArray | None = None
+    ) -> Self:
+        """Return the view of a pattern, whose fields are those of ``ScanPattern``."""
+        grid = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad, row_azimuth_rad)
+        return cls(azimuth_rad, elevation_rad, row_azimuth_rad, grid, Hits.of(grid))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -88,7 +90,8 @@ class ScanView:
 
     def every(self, stride: int) -> "ScanView":
         """Return the view of every ``stride``-th row and column."""
-        return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy())
+        aside_rad = None if self.row_azimuth_rad is None else self.row_azimuth_rad[::stride].copy()
+        return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy(), aside_rad)
 
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays."""
@@ -103,8 +106,11 @@ class ScanView:
         return SeenScan(points_m, rays, image)
 
     def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
-        column, beside = _nearest(self.azimuth_rad, np.arctan2(points_m[:, 0], points_m[:, 2]))
         row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / np.maximum(range_m, 1e-9)))
+        azimuth_rad = np.arctan2(points_m[:, 0], points_m[:, 2])
+        if self.row_azimuth_rad is not None:
+            azimuth_rad -= self.row_azimuth_rad[row]
+        column, beside = _nearest(self.azimuth_rad, azimuth_rad)
         return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
 
 
@@ -146,6 +152,14 @@ def range_image(rays: NDArray[np.int64], range_m: FloatArray, rows: int, columns
 def spacing_rad(angles_rad: FloatArray) -> float:
     """Return the median step between a pattern's columns or rows, rad; 1 degree for a single one."""
     return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
+
+
+def _ends_return(image: FloatArray) -> bool:
+    """Return whether the first or last ray of any row has a return, (rows, columns), negative if unknown."""
+    known = image >= 0.0
+    rows = np.flatnonzero(known.any(axis=1))
+    first, last = known.argmax(axis=1), image.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
+    return bool(image[rows, first[rows]].any() or image[rows, last[rows]].any())
 
 
 def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

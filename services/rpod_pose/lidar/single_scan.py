@@ -45,12 +45,14 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
         >>> bool((truth.inv() * found.pose).rotation.magnitude() < 0.01)
         True
     """
-    angles = sensor.azimuth_rad.tobytes(), sensor.elevation_rad.tobytes()
+    aside_rad = sensor.row_azimuth_rad
+    known = [sensor.azimuth_rad, sensor.elevation_rad, *(() if aside_rad is None else (aside_rad,))]
+    angles = tuple(each.tobytes() for each in known)
     return _search(target, angles, sensor.sigma_range_m).acquire(scan)
 
 
 @lru_cache(maxsize=8)
-def _search(target: Target, angles: tuple[bytes, bytes], sigma_range_m: float) -> GlobalSearch:
-    azimuth_rad, elevation_rad = map(np.frombuffer, angles)
-    pattern = ScanPattern(azimuth_rad, elevation_rad, sigma_range_m=sigma_range_m)
+def _search(target: Target, angles: tuple[bytes, ...], sigma_range_m: float) -> GlobalSearch:
+    azimuth_rad, elevation_rad, *aside_rad = map(np.frombuffer, angles)
+    pattern = ScanPattern(azimuth_rad, elevation_rad, sigma_range_m, *aside_rad)
     return GlobalSearch(GlobalSearchConfig(), target, pattern)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.spatial import KDTree
 
+from rpod_runtime.sensor_data.staggered_rows import StaggeredRows
 from rpod_schemas.types import Float32Array, LidarInfo
 
 Angles = NDArray[np.float64]
@@ -22,6 +23,8 @@ _LEAST_LINES = 3
 """Least number of rows and of columns with returns from which a pattern is inferred."""
 _DECISIVE = 0.5
 """Greatest scatter within the lines, over that with rows and columns exchanged, that tells which is which."""
+_LEVEL = 0.1
+"""Greatest scatter of the elevations within the lines of lasers, over that of all elevations."""
 _EVEN = 0.2
 """Greatest deviation of lines from even steps, over a step, of a pattern that counts as even."""
 _ENOUGH_SCANS = 20
@@ -76,6 +79,11 @@ def rows_are_elevation(points_m: Float32Array) -> bool | None:
     azimuth, elevation, returned = angles_of(points_m)
     if min(returned.any(axis=1).sum(), returned.any(axis=0).sum()) < _LEAST_LINES:
         return None
+    # each laser of a turning head has one elevation, also where their azimuths are staggered
+    limit = _LEVEL * _scatter(elevation.reshape(1, -1), returned.reshape(1, -1), 1)
+    level = [_scatter(elevation, _in_company(returned, axis), axis) < limit for axis in (1, 0)]
+    if level[0] != level[1]:
+        return level[0]
     upright = _scatter(elevation, returned, 1) + _scatter(azimuth, returned, 0)
     turned = _scatter(azimuth, returned, 1) + _scatter(elevation, returned, 0)
     if upright < _DECISIVE * turned:
@@ -83,8 +91,16 @@ def rows_are_elevation(points_m: Float32Array) -> bool | None:
     return False if turned < _DECISIVE * upright else None
 
 
+def _in_company(returned: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
+    """Return which returns have others in their line: one alone tells nothing of the line."""
+    several: NDArray[np.bool_] = returned & (returned.sum(axis=axis, keepdims=True) > 1)
+    return several
+
+
 def _scatter(angles: Angles, returned: NDArray[np.bool_], axis: int) -> float:
-    """Return the median distance of returns from the mean direction of their line, rad."""
+    """Return the median distance of returns from the mean direction of their line, rad; inf without any."""
+    if not returned.any():
+        return float("inf")
     means = np.angle((np.exp(1j * angles) * returned).sum(axis=axis, keepdims=True))
     off = np.abs(np.angle(np.exp(1j * (angles - means))))
     return float(np.median(off[returned]))
@@ -96,9 +112,35 @@ class GridInference:
 
     pattern: LidarInfo | None = None
     """The pattern as far as it is known; replaced only where it has changed visibly."""
+    _staggered: StaggeredRows | None = None
     _sums: dict[str, NDArray[np.complex128]] = field(default_factory=dict)
     _scans: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Number of scans with returns in each row and each column."""
+
+    def in_order(self, image: Float32Array) -> Float32Array:
+        """Return an image of a scan as it was sent, shape (rows, columns, ...), with its rows in order."""
+        staggered = self._staggered
+        if staggered is None or image.shape[:2] != (staggered.rows, staggered.columns):
+            return image
+        return staggered.in_order(image)
+
+    def learn_rows(self, points_m: Float32Array) -> None:
+        """Learn how far the rows are aside from an organised scan as it was sent, (rows, columns, 3)."""
+        rows, columns = points_m.shape[:2]
+        if self._staggered is None or (self._staggered.rows, self._staggered.columns) != (rows, columns):
+            self._staggered = StaggeredRows(rows, columns)
+        if self._staggered.learns(points_m):
+            azimuth, _, returned = angles_of(points_m)
+            self._staggered.learn(azimuth, returned)
+
+    @property
+    def aside_rad(self) -> float:
+        """Greatest azimuth of a row beside the columns, rad; 0 of scans whose rows are not staggered."""
+        return 0.0 if self._staggered is None else self._staggered.aside_rad
+
+    @property
+    def _beside_rad(self) -> Angles | None:
+        return None if self._staggered is None else self._staggered.beside_rad
 
     def add(self, points_m: Float32Array, scan_time_s: float) -> None:
         """Learn from a scan.
@@ -110,7 +152,10 @@ class GridInference:
         if points_m.ndim == 3 and self._nothing_new(points_m):
             return
         azimuth, elevation, returned = angles_of(points_m)
+        beside_rad = self._beside_rad if points_m.ndim == 3 else None
         if points_m.ndim == 3:
+            if beside_rad is not None:
+                azimuth = azimuth - beside_rad[:, None]
             columns = self._organised("azimuth", azimuth, returned, 0)
             rows = self._organised("elevation", elevation, returned, 1)
         else:
@@ -125,7 +170,11 @@ class GridInference:
             return
         try:
             now = LidarInfo(
-                azimuth_rad=columns, elevation_rad=rows, scan_time_s=scan_time_s, sigma_range_m=0.0
+                azimuth_rad=columns,
+                elevation_rad=rows,
+                row_azimuth_rad=beside_rad,
+                scan_time_s=scan_time_s,
+                sigma_range_m=0.0,
             )
         except ValidationError:
             return  # points of no scanner
@@ -165,6 +214,13 @@ def _covers(pattern: LidarInfo, azimuth: Angles, elevation: Angles) -> bool:
 def _differ(before: LidarInfo, now: LidarInfo) -> bool:
     """Return whether two patterns differ visibly."""
     lines = ((before.azimuth_rad, now.azimuth_rad), (before.elevation_rad, now.elevation_rad))
+    old, new = before.row_azimuth_rad, now.row_azimuth_rad
+    if (old is None) != (new is None):
+        return True
+    if old is not None and new is not None:
+        step = np.median(np.abs(np.diff(before.azimuth_rad)))
+        if old.shape != new.shape or np.abs(new - old).max() > _CHANGED * step:
+            return True
     return any(
         old.shape != new.shape or np.abs(new - old).max() > _CHANGED * np.median(np.abs(np.diff(old)))
         for old, new in lines

@@ -8,6 +8,7 @@ from ifm_recording import configuration
 from scipy.spatial.transform import Rotation
 
 from rpod_driver.adapters.ifm.driver import open_driver
+from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
 from rpod_pose.navigation.navigator import Navigator
@@ -51,6 +52,40 @@ def test_a_lidar_without_info_is_found_whichever_way_its_rows_run(rows_are_azimu
     attitude_rad, position_m = pose_error(truth, found.pose)
     assert np.degrees(np.linalg.norm(attitude_rad)) < 0.5
     assert np.linalg.norm(position_m) < 0.1
+
+
+def test_a_turning_head_with_staggered_rows_is_found_and_tracked():
+    """Each of 32 lasers looks aside by its own angle, and a scan is a part of a turn."""
+    target, sigma_m, rng = load_target("envisat-bulky"), 0.02, np.random.default_rng(1)
+    aside_rad = np.tile(np.radians([3.26, -1.1, 5.4, -4.9, 0.2, 2.2, -3.3, 1.0]), 4)
+    azimuth_rad, elevation_rad = (
+        np.radians(np.arange(-30.0, 30.0, 0.36)),
+        np.radians(np.linspace(-15, 15, 32)),
+    )
+    grid, reader = RayGrid.azimuth_elevation(azimuth_rad, elevation_rad, aside_rad), LidarReader()
+    methods, pattern = None, None
+    for number in range(3):
+        attitude = Rotation.from_euler("ZYX", [40.0 + 3.0 * number, 25.0, 10.0], degrees=True)
+        truth = make_pose(rotation=attitude, translation_m=(1.0, -1.0, 14.0 - number))
+        range_m = cast(grid, target.triangles_m, truth).range_m
+        range_m = np.where(np.isfinite(range_m), range_m + rng.normal(0.0, sigma_m, grid.shape), 0.0)
+        points_m = range_m[..., None] * grid.directions
+        cloud = {name: points_m[..., axis].astype(np.float32) for axis, name in enumerate("xyz")}
+        scan = reader.read(Assembled(1, {"points": received(write_points(1, "lidar", cloud))}))
+        pattern = pattern or reader.said
+        assert reader.said is pattern
+        methods = methods or methods_of(LidarInput(sigma_range_m=sigma_m), target, pattern)
+        begin = make_pose(
+            rotation=Rotation.from_rotvec([0.02, -0.02, 0.02]), translation_m=(0.05, 0.05, 0.05)
+        )
+        tracked = methods.tracker.track(scan, truth * begin)
+        assert tracked.belief.continues_track, tracked.belief.reason
+        found = methods.acquirer.acquire(scan)
+        assert found.begins_track, found.belief.refusal
+        for pose in (found.pose, tracked.T_sensor_target):
+            attitude_rad, position_m = pose_error(truth, pose)
+            assert np.degrees(np.linalg.norm(attitude_rad)) < 0.1
+            assert np.linalg.norm(position_m) < 0.01
 
 
 def test_a_real_frame_without_the_target_gives_no_pose():

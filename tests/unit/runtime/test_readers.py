@@ -10,12 +10,12 @@ from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, satur
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
-from rpod_schemas.messages import write_camera, write_header, write_image, write_points
+from rpod_schemas.messages import write_camera, write_header, write_image, write_lidar_info, write_points
 from rpod_schemas.poses import make_pose
 from rpod_schemas.rmw.cdr import encode, message_class
 from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, POINTS, Topic
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, LidarInfo
 
 CAMERA = Camera(width=60, height=40, fx=50.0, fy=51.0, cx=29.5, cy=19.5)
 FORWARD = make_pose(translation_m=[0.5, 0.0, 0.2])
@@ -184,3 +184,18 @@ def test_of_a_turning_head_only_what_lies_ahead_is_used():
     assert (scan.points_m[..., 2] > 0.0).all()
     seen = np.arctan2(scan.points_m[4, :, 0], scan.points_m[4, :, 2])
     np.testing.assert_allclose(reader.said.azimuth_rad, seen, atol=1e-3)
+
+
+def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog):
+    azimuth, elevation = np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0))
+    el, az = np.meshgrid(elevation, azimuth, indexing="ij")
+    az = az + np.radians(np.tile([4.0, 1.3, -1.3, -4.0], 4))[:, None]
+    rays = np.stack((np.sin(az) * np.cos(el), np.sin(el), np.cos(az) * np.cos(el)), axis=-1)
+    cloud = write_points(1, "lidar", {name: 5.0 * rays[..., n] for n, name in enumerate("xyz")})
+    info = LidarInfo(azimuth_rad=azimuth, elevation_rad=elevation, scan_time_s=0.1, sigma_range_m=0.02)
+    reader = LidarReader()
+    reader.learn(write_lidar_info(1, "lidar", info))
+    scan = reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    assert scan.points_m.shape == (16, 40, 3)
+    assert "rows are up to 4.0 deg beside the columns of the info" in caplog.text
+    assert "destagger" in caplog.text

@@ -124,6 +124,9 @@ def test_points_that_no_scanner_sends_are_no_end():
     for name, points in strange.items():
         grid = GridInference()
         for cloud in (points, points.reshape(-1, 3)):
+            if cloud.ndim == 3:
+                grid.learn_rows(cloud.astype(np.float32))
+                grid.add(grid.in_order(cloud.astype(np.float32)), 0.0)
             grid.add(cloud.astype(np.float32), 0.0)
             if cloud.ndim == 3:
                 rows_are_elevation(cloud.astype(np.float32))

@@ -33,7 +33,9 @@ class ScanComparison:
         margin_rad = radians(config.margin_deg)
         self._grid = pattern.grid
         self._beside = [
-            RayGrid.azimuth_elevation(azimuth_rad + across * margin_rad, elevation_rad + down * margin_rad)
+            RayGrid.azimuth_elevation(
+                azimuth_rad + across * margin_rad, elevation_rad + down * margin_rad, pattern.row_azimuth_rad
+            )
             for across, down in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
         ]
 

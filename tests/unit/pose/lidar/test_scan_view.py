@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from lidar_scans import LIDAR, random_pose, scan_at, scan_of
 
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_view import ScanView, spacing_rad
 
 VIEW = ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad)
@@ -88,3 +89,39 @@ def test_the_spacing_is_the_typical_one_and_that_of_a_single_line_a_degree():
     assert spacing_rad(LIDAR.azimuth_rad) == pytest.approx(np.deg2rad(1.0))
     assert spacing_rad(np.array([0.3])) == pytest.approx(np.deg2rad(1.0))
     assert spacing_rad(np.array([0.3, 0.1, -0.1])) == pytest.approx(0.2)
+
+
+def staggered():
+    """Return the azimuths by which rows are beside the columns, half a column at most, and their view."""
+    beside_rad = np.linspace(-0.5, 0.5, LIDAR.elevation_rad.size) * spacing_rad(LIDAR.azimuth_rad)
+    return beside_rad, ScanView.of(LIDAR.azimuth_rad, LIDAR.elevation_rad, beside_rad)
+
+
+def test_points_are_sorted_onto_the_rays_of_rows_that_are_beside_the_columns():
+    _, view = staggered()
+    seen = view.seen(scan_of(20.0 * view.grid.directions.reshape(-1, 3)))
+    np.testing.assert_array_equal(seen.rays, np.arange(seen.rays.size))
+    half = view.every(2)
+    np.testing.assert_allclose(half.grid.directions, view.grid.directions[::2, ::2])
+
+
+def test_patterns_are_equal_if_their_rays_and_noise_are():
+    beside_rad, _ = staggered()
+    patterns = [
+        ScanPattern(LIDAR.azimuth_rad, LIDAR.elevation_rad),
+        ScanPattern(LIDAR.azimuth_rad, LIDAR.elevation_rad, 0.02),
+        ScanPattern(LIDAR.azimuth_rad, LIDAR.elevation_rad, row_azimuth_rad=beside_rad),
+        ScanPattern(LIDAR.azimuth_rad[1:], LIDAR.elevation_rad),
+    ]
+    for n, one in enumerate(patterns):
+        again = ScanPattern(one.azimuth_rad.copy(), one.elevation_rad, one.sigma_range_m, one.row_azimuth_rad)
+        assert [again == other for other in patterns] == [n == m for m in range(len(patterns))]
+
+
+def test_a_target_is_cut_off_at_the_outermost_rays_that_measured():
+    points_m = np.full((*VIEW.shape, 3), np.nan, np.float32)
+    points_m[:, :2] = np.inf  # no ray measured there
+    points_m[10, 10] = 0.0, 0.0, 20.0
+    assert not VIEW.seen(scan_of(points_m)).cut_off
+    points_m[10, 2] = -5.0, 0.0, 20.0
+    assert VIEW.seen(scan_of(points_m)).cut_off
