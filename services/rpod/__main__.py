@@ -9,6 +9,7 @@ from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from pydantic import BaseModel
+from typer.core import TyperGroup
 
 from rpod import __version__
 from rpod.calibrate.verbs import calibrate_verbs
@@ -25,10 +26,22 @@ from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
+_FIRST_VERBS = ("run", "scenarios", "report", "view", "replay", "target", "campaign", "calibrate", "driver")
+"""The verbs of the first day; the help lists them before the others."""
+
+
+class _VerbGroup(TyperGroup):
+    """All verbs, in the order in which a new user needs them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all verbs."""
+        others = [name for name in super().list_commands(ctx) if name not in _FIRST_VERBS]
+        return [*_FIRST_VERBS, *others]
+
 
 app = typer.Typer(
     name="rpod",
-    help="A rendezvous laboratory in software, behind a message bus.",
+    cls=_VerbGroup,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -82,7 +95,7 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """A rendezvous laboratory in software, behind a message bus."""
+    """Play, record and score a rendezvous: sensors, pose estimation and a logger on a message bus."""
 
 
 def _serve(
@@ -129,7 +142,7 @@ def router(
         Path | None, typer.Option("--rules", help="File of access rules, made by 'rpod pki rules'.")
     ] = None,
 ) -> None:
-    """Run the bus: a Zenoh router that keeps the truth from the estimators."""
+    """Run the bus, a Zenoh router. It keeps the truth from the estimators."""
     from rpod_runtime.bus import router as daemon
     from rpod_schemas.config.service import RouterConfig
 
@@ -186,7 +199,7 @@ _add_service(
 _add_service(
     "proxy",
     "rpod_schemas.config.facility.proxy:ProxyConfig",
-    "Pass links of services on to the router, with faults on request.",
+    "Pass links on to the router, with faults on request.",
 )
 
 
@@ -308,7 +321,7 @@ def run(
 
 @app.command("compile")
 def compile_kernels() -> None:
-    """Compile the numerical code before the first run: minutes on a new machine, seconds afterwards."""
+    """Compile the numerical code. It takes minutes on a new machine, seconds afterwards."""
     from rpod.command_compile import compile_command
 
     raise typer.Exit(compile_command())

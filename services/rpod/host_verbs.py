@@ -20,7 +20,7 @@ def up(
         bool, typer.Option("--json", help="Print the state as one JSON line at each change.")
     ] = False,
 ) -> None:
-    """Start the services of a facility and keep them alive until Ctrl-C, SIGTERM or 'rpod down'."""
+    """Start the services of a facility and keep them alive. Ctrl-C, SIGTERM or 'rpod down' ends them."""
     from rpod.up.command import up_command
 
     raise typer.Exit(up_command(facility, as_json=as_json))
@@ -28,7 +28,7 @@ def up(
 
 @host_verbs.command()
 def ps(facility: FacilityArgument, as_json: JsonOption = False) -> None:
-    """Show the services that 'rpod up' keeps alive: exit 0 if all are at work, 1 if not."""
+    """Show the services that 'rpod up' keeps alive. Exit 0 if all are at work, 1 if not."""
     from rpod.up.command import ps_command
 
     raise typer.Exit(ps_command(facility, as_json=as_json))
@@ -36,7 +36,7 @@ def ps(facility: FacilityArgument, as_json: JsonOption = False) -> None:
 
 @host_verbs.command()
 def down(facility: FacilityArgument, as_json: JsonOption = False) -> None:
-    """Stop the services that 'rpod up' keeps alive, and wait until they have."""
+    """Stop the services that 'rpod up' keeps alive. It waits until they have ended."""
     from rpod.up.command import down_command
 
     raise typer.Exit(down_command(facility, as_json=as_json))
@@ -57,7 +57,10 @@ def doctor(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check this host (clock, versions, disk, port, link) and say what to do: exit 1 if a check fails."""
+    """Check this host and say what to do.
+
+    It checks clock, versions, disk, port and link. Exit 1 if a check fails.
+    """
     from rpod.doctor.command import doctor_command
 
     raise typer.Exit(

@@ -51,7 +51,7 @@ def _serve(
     with Node(config, version=version, stop=stop) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
-        inputs = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
+        readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
         bodies = BodyReport(node, estimator.bodies)
         validity = Validity(config.stale_after_s)
         with Beacon(validity, outputs.tell, node.clock) as beacon:
@@ -64,20 +64,20 @@ def _serve(
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
-                    for heard in inputs:
-                        heard.take_until(arrived.stamp_ns)
+                    for each in readings:
+                        each.take_until(arrived.stamp_ns)
                     if config.time_source == "clock":
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
                     service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
-                for output in estimator.untold(node.clock.settled_ns(), live):
+                for output in estimator.unreported(node.clock.settled_ns(), live):
                     service.publish(output)
                 bodies.update()
                 subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
-                for heard in inputs:
-                    heard.take_until(arrived.stamp_ns)
+                for each in readings:
+                    each.take_until(arrived.stamp_ns)
                 service.process(arrived)
             bodies.update()
 

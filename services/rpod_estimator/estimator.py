@@ -9,9 +9,9 @@ from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from rpod_estimator.frame_hint import described
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
-from rpod_estimator.sight import measured
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
@@ -203,17 +203,17 @@ class Estimator:
                 return self._rejected(arrived, str(error))
         self._state, output = self._navigator.step(self._state, measurement)
         if not output.status.accepted and not output.status.mode.has_track:
-            output = self._with_sight(output, measurement)
+            output = self._with_hint(output, measurement)
         self._searches.keep(self._state.searches.values())
         self._log_change(before, output)
         return output
 
-    def _with_sight(self, output: Output, measurement: Measurement) -> Output:
+    def _with_hint(self, output: Output, measurement: Measurement) -> Output:
         """Return the result of a frame in which no pose was found, with what the frame measures."""
         if not output.why:
             return output
-        seen = measured(measurement.data, radius_m=self._target.radius_m)
-        return output.explained(f"{output.why} ({seen})") if seen else output
+        hint = described(measurement.data, radius_m=self._target.radius_m)
+        return output.explained(f"{output.why} ({hint})") if hint else output
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result; call it once for each.
@@ -237,13 +237,13 @@ class Estimator:
             self._log_change(before, output)
         return output
 
-    def untold(self, now_ns: int, searches: LiveSearches) -> Iterator[Output]:
-        """Yield what searches have found whose sensors are silent since: the next frame would tell it."""
+    def unreported(self, now_ns: int, searches: LiveSearches) -> Iterator[Output]:
+        """Yield the results of searches whose sensors have sent no frame since, which would report them."""
         for name, stream in self._state.streams.items():
             if not stream.is_silent(now_ns, self._config.navigator.silence_timeout_s):
                 continue
-            if (ended := searches.untold(name)) is not None:
-                yield self._with_sight(self._navigator.waiting(self._state, *ended), ended[0].event)
+            if (ended := searches.unreported(name)) is not None:
+                yield self._with_hint(self._navigator.waiting(self._state, *ended), ended[0].event)
 
     def let_time_pass(self, until_ns: int) -> Iterator[Output]:
         """Advance the time in ticks from the stamp of the newest frame up to a stamp; yield results.

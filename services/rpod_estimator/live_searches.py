@@ -51,7 +51,7 @@ class _Running:
     began_s: float
     found: Found | None = None
     """Its result, which the navigator has not asked for since."""
-    is_told: bool = False
+    is_reported: bool = False
 
     @property
     def stamp_ns(self) -> int:
@@ -105,13 +105,13 @@ class LiveSearches:
         self._running[search.sensor] = _Running(search, now_s)
         return None
 
-    def untold(self, sensor: str) -> tuple[Search, Found] | None:
+    def unreported(self, sensor: str) -> tuple[Search, Found] | None:
         """Return the search of a sensor whose result waits for its next frame, once for each search."""
         running = self._running.get(sensor)
-        if running is None or running.is_told:
+        if running is None or running.is_reported:
             return None
         running.found = running.found or self._workers[sensor].result()
-        running.is_told = running.found is not None
+        running.is_reported = running.found is not None
         return None if running.found is None else (running.search, running.found)
 
     def keep(self, searches: Collection[Search]) -> None:

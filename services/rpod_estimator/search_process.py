@@ -159,11 +159,10 @@ def serve(
     if beside_tracking:
         os.nice(NICENESS)
     target = load_target(target_name)
-    made: dict[str, Methods] = {}
+    methods = known = None
     setup = kind_methods(sensor).setup(sensor, None)
-    known = None
     if setup is not None:
-        made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+        methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
     if not beside_tracking:
         os.nice(NICENESS)
     with suppress(EOFError, OSError):
@@ -172,10 +171,10 @@ def serve(
             if (said := connection.recv_bytes()) == _CANCEL:
                 continue  # the search had ended before
             search, setup = pickle.loads(said)  # noqa: S301 - of our own process
-            if pickle.dumps(setup) != known:
-                made[sensor.name], known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+            if methods is None or pickle.dumps(setup) != known:
+                methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
             with unless(connection.poll):  # whatever is sent during a search cancels it
-                connection.send_bytes(packed(_found(search, made[sensor.name])))
+                connection.send_bytes(packed(_found(search, methods)))
 
 
 def _found(search: Search, methods: Methods) -> Found:

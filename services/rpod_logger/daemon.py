@@ -29,8 +29,8 @@ _CLOSE_S = 3.0
 """Longest time, s, for which the close of a file waits for answers, and then for the messages that are
 missing by these answers."""
 _POLL_S = 0.02
-_MOST_HEARTS = 1000
-"""Largest number of publishers of heartbeats that are remembered; one that was forgotten is asked again."""
+_MOST_SERVICES = 1000
+"""Largest number of services whose first heartbeat is remembered; one that was forgotten is asked again."""
 _ZENOH_THREADS = ("ZENOH_RUNTIME", "(rx:(worker_threads:1))")
 """Environment variable of Zenoh: one thread receives. By default two threads wake each other for every
 message."""
@@ -93,16 +93,17 @@ class Services:
 
     def __init__(self, node: Node, recorder: Recorder, ends: PublisherEnds) -> None:
         self._node, self._recorder, self._ends = node, recorder, ends
-        self._hearts: dict[bytes, None] = {}
+        self._known: dict[bytes, None] = {}
+        """Gids of the services that have been asked, the oldest first."""
         self._new = Event()
 
     def notice(self, received: Received) -> None:
         """Look at a message: for the first heartbeat of a service, and for the last numbers of publishers."""
         self._ends.receive(received)
-        if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._hearts:
-            self._hearts[received.attachment.gid] = None
-            if len(self._hearts) > _MOST_HEARTS:
-                del self._hearts[next(iter(self._hearts))]
+        if received.topic.name == DIAGNOSTICS.name and received.attachment.gid not in self._known:
+            self._known[received.attachment.gid] = None
+            if len(self._known) > _MOST_SERVICES:
+                del self._known[next(iter(self._known))]
             self._new.set()
 
     def ask_new(self) -> None:

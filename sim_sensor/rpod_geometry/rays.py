@@ -20,6 +20,9 @@ from rpod_geometry.lens import undistort
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
+NEAREST_M = 0.05
+"""Least distance of a point that a sensor may see, m. Physics: none of these sensors measures nearer."""
+
 
 class Envelope(NamedTuple):
     """Non-decreasing bounds of the slopes of a grid's lines: columns (x/z) or rows (y/z)."""

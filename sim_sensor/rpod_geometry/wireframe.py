@@ -5,14 +5,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.lens import distort
-from rpod_geometry.rays import RayGrid, cast
+from rpod_geometry.rays import NEAREST_M, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera
 from rpod_target import Target
 
 _PIECES = 12
 """Number of pieces of an edge; each is hidden or visible as a whole."""
-_NEAR_M = 0.05
 _SLACK_M = 0.02
 """Least distance in front of an edge from which a surface hides it, since the edge lies on its own faces."""
 
@@ -26,7 +25,7 @@ def visible_pieces(target: Target, T_sensor_target: RigidTransform) -> FloatArra
     knots = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     points = ends[:, None, 0] + knots * (ends[:, None, 1] - ends[:, None, 0])
     pieces: FloatArray = np.stack([points[:, :-1], points[:, 1:]], axis=2)
-    pieces = pieces[(points[:, :, 2] > _NEAR_M).all(axis=1)]
+    pieces = pieces[(points[:, :, 2] > NEAREST_M).all(axis=1)]
     return pieces[_seen(pieces.mean(axis=2), target, T_sensor_target)] if len(pieces) else pieces[:, 0]
 
 

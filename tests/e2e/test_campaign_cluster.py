@@ -178,7 +178,7 @@ def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trial
     with pytest.raises(ToldError, match=refused):  # from here on it has imported what it needs for its answer
         run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
     with pytest.raises(NoWorkersError, match=refused):
-        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=5.0))
+        run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=2.0))
     dask.start_worker("new")
     campaign = counting(tmp_path)
     run_campaign(campaign, Cluster(dask.address, note=told.append))

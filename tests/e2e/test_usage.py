@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from command_line import called
 
 from rpod.play.facility import configure
 from rpod.scenarios import find, shipped
@@ -75,7 +76,7 @@ def test_a_scenario_may_ask_for_the_raw_samples(asked, tmp_path):
 
 
 def test_an_unknown_scenario_is_refused_with_the_known_ones(tmp_path):
-    line = the_line(rpod("run", "mockup-tumblin", "--out", tmp_path), 2)
+    line = the_line(called("run", "mockup-tumblin", "--out", tmp_path), 2)
     assert "'mockup-tumblin'" in line or "mockup-tumblin:" in line
     assert all(name in line for name in SCENARIOS)
     assert not list(tmp_path.iterdir())
@@ -97,7 +98,7 @@ def test_a_bad_scenario_file_is_refused_with_what_is_wrong_in_it(tmp_path, spoil
     spoil(document)
     file = tmp_path / "mine.yaml"
     file.write_text(yaml.safe_dump(document), "utf-8")
-    line = the_line(rpod("run", file, "--out", tmp_path / "runs"), 2)
+    line = the_line(called("run", file, "--out", tmp_path / "runs"), 2)
     assert all(part in line for part in says)
     assert not (tmp_path / "runs").exists()
 
@@ -106,7 +107,7 @@ def test_a_bad_scenario_file_is_refused_with_what_is_wrong_in_it(tmp_path, spoil
     ("option", "value", "field"), [("--speed", "3", "--speed"), ("--duration", "0", "duration_s")]
 )
 def test_a_bad_option_is_refused_with_field_and_reason(tmp_path, option, value, field):
-    line = the_line(rpod("run", "mockup-tumbling", option, value, "--out", tmp_path), 2)
+    line = the_line(called("run", "mockup-tumbling", option, value, "--out", tmp_path), 2)
     assert f"{field}: " in line
     assert not list(tmp_path.iterdir())
 
@@ -114,7 +115,7 @@ def test_a_bad_option_is_refused_with_field_and_reason(tmp_path, option, value, 
 def test_a_service_refuses_a_bad_configuration_in_one_line(tmp_path):
     file = tmp_path / "logger.json"
     file.write_text('{"chunk_bytes": 1}', "utf-8")
-    line = the_line(rpod("logger", "--config", file), 2)
+    line = the_line(called("logger", "--config", file), 2)
     assert "logger.json: chunk_bytes: " in line
 
 
@@ -123,11 +124,11 @@ def test_a_report_of_what_is_no_log_fails_in_one_line(tmp_path, content):
     log = tmp_path / "run.mcap"
     if content is not None:
         log.write_bytes(content)
-    assert str(log) in the_line(rpod("report", log), 1)
+    assert str(log) in the_line(called("report", log), 1)
     assert not (tmp_path / "report.html").exists()
 
 
 def test_a_run_that_cannot_make_its_folder_fails_in_one_line(tmp_path):
     file = tmp_path / "file"
     file.touch()
-    assert str(file) in the_line(rpod("run", "mockup-tumbling", "--out", file / "runs"), 1)
+    assert str(file) in the_line(called("run", "mockup-tumbling", "--out", file / "runs"), 1)

@@ -6,6 +6,7 @@ import sys
 
 import psutil
 import pytest
+from command_line import called
 from recordings import read_recording
 from synthetic_log import SyntheticRun
 
@@ -48,7 +49,7 @@ def test_a_log_is_written_as_a_recording(log, tmp_path):
 )
 def test_what_cannot_be_shown_is_refused_in_one_line(log, arguments, code, reason):
     paths = [] if "nowhere.mcap" in arguments else [log]
-    ended = rpod("view", *paths, *arguments)
+    ended = called("view", *paths, *arguments)
     assert ended.returncode == code, ended.stderr
     assert reason in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -63,7 +64,7 @@ def test_without_rerun_one_line_says_how_to_get_it(log):
 def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    facility = start("mockup-tumbling", "--duration", "6", "--view")
+    facility = start("mockup-tumbling", "--duration", "3", "--view")
     facility.stderr.wait_for("view: shown in http://127.0.0.1:")
     facility.await_services()
     (view,) = [
@@ -80,6 +81,6 @@ def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monk
 
 
 def test_a_run_without_rerun_goes_on_without_a_view(tmp_path):
-    ended = rpod("run", "--view", "--duration", "2", "--out", tmp_path, without_rerun=True)
+    ended = rpod("run", "envisat-station", "--view", "--duration", "2", "--out", tmp_path, without_rerun=True)
     assert ended.returncode == 0, ended.stderr
     assert "rpod run: no view, because it needs rerun-sdk: pip install 'rpod[view]'" in ended.stderr

@@ -127,7 +127,8 @@ def lab(endpoint):
         bus={"connect": endpoint},
         sensors=(PmdInput(),),
         initial_pose=T_CHASER_TARGET,
-        navigator=NavigatorConfig(coasting_after_s=600.0, silence_timeout_s=600.0),
+        stale_after_s=600.0,
+        navigator=NavigatorConfig(silence_timeout_s=600.0),
     )
     with ExitStack() as stack:
         lab = Lab(Bus(endpoint, stack))

@@ -138,12 +138,12 @@ TRIES = 3
 
 
 def estimated(bus, log, config) -> tuple[list[bytes], list[bytes]]:
-    """Return the estimates and statuses of an estimator to which a log is played, a second a frame."""
+    """Return the estimates and statuses of an estimator to which a log is played, half a second a frame."""
     inbox, health = listen(bus, ESTIMATE, STATUS), Inbox()
     bus.node("watcher").subscribe(DIAGNOSTICS, health.put)
     with daemon(run_estimator, config):
         await_ready(health)
-        play(log, bus.node("replay"), Playback(speed=0.1), stop=Event())
+        play(log, bus.node("replay"), Playback(speed=0.2), stop=Event())
         received = collect(inbox, 6 + 6)
     return tuple([bytes(item.payload) for item in by_topic(received, topic)] for topic in (ESTIMATE, STATUS))
 

@@ -111,6 +111,10 @@ RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict"
 """Present names of fields of configuration files by the names that they had."""
 
 
+REMOVED = {"coasting_after_s": "remove it; the estimator's stale_after_s counts for it too"}
+"""What to do about fields that configuration files do not have any more, by name."""
+
+
 def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     """Validate a document against a model.
 
@@ -159,6 +163,8 @@ def _unknown(model: type[BaseModel], document: Any, location: Sequence[int | str
         return f"is a tuning field now: write it as {_place((*location[:-1], 'tuning', location[-1]))}"
     if name := RENAMED.get(str(location[-1])):
         return f"is called {name} now: write it so"
+    if remedy := REMOVED.get(str(location[-1])):
+        return f"is gone: {remedy}"
     meant = get_close_matches(str(location[-1]), _fields(model, location[:-1]), n=1)
     guess = f"did you mean {meant[0]}?" if meant else "check its spelling and its place"
     return f"is not a known field; {guess}"

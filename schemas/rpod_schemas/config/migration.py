@@ -11,13 +11,13 @@ from pydantic import BaseModel, ValidationError
 from rpod_schemas.config.base import RENAMED as RENAMED_IN_FILES
 from rpod_schemas.config.base import check
 
-CONFIG_VERSION = 5
+CONFIG_VERSION = 6
 """Version of the configuration models.
 
 1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
 ``tuning`` models. 3 and 5: fields have the names in ``RENAMED``. 4: a track is lost by its covariance, and
 the navigator has no ``rejection_timeout_s`` and ``rejected_frames``. 5: the fields in ``TUNED`` are in
-``tuning`` models.
+``tuning`` models. 6: the fields in ``MERGED`` are gone.
 """
 _FIRST_WITH_TUNING = 2
 """First version whose logs have ``tuning`` models."""
@@ -36,6 +36,8 @@ RENAMED = {
 """Names that a version gave to fields, by the name before it."""
 TUNED = {_FIRST_WITH_TUNING: None, 5: frozenset({"attitudes"})}
 """Names of the fields that a version moved into ``tuning``; None for any."""
+MERGED = {6: {"coasting_after_s": "stale_after_s"}}
+"""Names of the fields that a version removed, each with the field one level above it that counts for both."""
 VERSION_FIELD = "config_version"
 """Name of the version among the fields of a logged configuration."""
 
@@ -83,7 +85,7 @@ def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str
     A field that the model does not have is handled by the version of the log. If a later version renamed it
     (``RENAMED``), it gets its present name. If a later version made it tuning (``TUNED``), it is moved into
     the ``tuning`` model beside it. A field that still has no place is left out. The result names all these
-    fields.
+    fields, but not one that repeated the value of the field that counts for both now (``MERGED``).
 
     Raises:
         ConfigurationError: a field that today's model has is wrong.
@@ -102,6 +104,8 @@ def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str
                 origins[_rename(kept, place, names)] = origin
             elif _became_tuning(place, version):
                 origins[_move(kept, place)] = origin
+            elif _repeats_another(kept, place, version):
+                _remove(kept, place)
             else:
                 _remove(kept, place)
                 inner = [moved for moved in origins if moved[: len(place)] == place]
@@ -173,6 +177,14 @@ def _became_tuning(place: Place, version: int) -> bool:
     return "tuning" not in place and any(
         version < since and (names is None or place[-1] in names) for since, names in TUNED.items()
     )
+
+
+def _repeats_another(document: dict[str, Any], place: Place, version: int) -> bool:
+    """Return whether a later version merged a field with another one, which has the same value."""
+    merged = {old: new for since, names in MERGED.items() if version < since for old, new in names.items()}
+    other = merged.get(str(place[-1]))
+    beside = _holder(document, place[:-1])
+    return other in beside and beside[other] == _holder(document, place)[place[-1]]
 
 
 def _can_be_renamed(document: dict[str, Any], place: Place, names: Mapping[str, str]) -> bool:

@@ -47,7 +47,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 @calibrate_verbs.callback()
 def calibrate() -> None:
-    """Calibrate sensors from logs: distances, background, mount, clock, lens."""
+    """Calibrate distances, background, mount, clock or lens."""
 
 
 @calibrate_verbs.command()
@@ -61,7 +61,10 @@ def depth(
     as_json: JsonOption = False,
     _no_limits: NoLimits = False,
 ) -> None:
-    """Find offset and wiggling of a PMD camera's distances; writes <camera>-calibration.yaml."""
+    """Find the errors of a PMD camera's distances.
+
+    These are an offset and the wiggling. It writes <camera>-calibration.yaml.
+    """
     from rpod.calibrate.depth import calibrate_command
 
     raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))
@@ -74,7 +77,7 @@ def background(
     as_json: JsonOption = False,
     _no_limits: NoLimits = False,
 ) -> None:
-    """Learn what each sensor sees without the target; writes surroundings.yaml."""
+    """Learn what each sensor sees without the target. It writes surroundings.yaml."""
     from rpod.calibrate.background import background_command
 
     raise typer.Exit(background_command(logs, out=out, as_json=as_json))
@@ -103,12 +106,8 @@ def _add_hand_eye(verb: Literal["mount", "clock"], does: str) -> None:
     calibrate_verbs.command(verb, help=does)(find)
 
 
-_add_hand_eye(
-    "mount", "Find the mount of a sensor in the chaser (hand-eye calibration); writes <sensor>-mount.yaml."
-)
-_add_hand_eye(
-    "clock", "Find offset and drift of a sensor's clock against the truth's; writes <sensor>-source.yaml."
-)
+_add_hand_eye("mount", "Find the mount of a sensor in the chaser (hand-eye). It writes <sensor>-mount.yaml.")
+_add_hand_eye("clock", "Find offset and drift of a sensor's clock. It writes <sensor>-source.yaml.")
 
 
 @calibrate_verbs.command()
@@ -126,7 +125,7 @@ def camera(
     as_json: JsonOption = False,
     _no_limits: NoLimits = False,
 ) -> None:
-    """Find the intrinsics of a camera from images of a checkerboard; writes <sensor>-camera.yaml."""
+    """Find the intrinsics of a camera from a checkerboard. It writes <sensor>-camera.yaml."""
     from rpod.calibrate.intrinsics import camera_command
 
     raise typer.Exit(

@@ -60,7 +60,6 @@ class CampaignGroup(TyperGroup):
 campaign_verbs = typer.Typer(
     name="campaign",
     cls=CampaignGroup,
-    help="Run Monte-Carlo trials of the methods, and compare them with the papers.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -68,7 +67,7 @@ campaign_verbs = typer.Typer(
 
 @campaign_verbs.callback()
 def campaign() -> None:
-    """Run Monte-Carlo trials of the methods, and compare them with the figures of the papers."""
+    """Run Monte-Carlo trials of the methods. Tables show the figures of the papers beside them."""
 
 
 def _verb(name: str, model: "type[Options]") -> Any:

@@ -7,7 +7,7 @@ import typer
 
 driver_verbs = typer.Typer(
     name="driver",
-    help="Run the driver of a sensor, check a live sensor, write a new driver.",
+    help="Run the driver of a sensor, check it, or write a new one.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -30,7 +30,7 @@ def run(
     connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
 ) -> None:
-    """Publish the frames of a sensor: connect to its device, report its health, connect again."""
+    """Publish the frames of a sensor. It reports the device's health, and connects again after a failure."""
     from rpod.driver.command import run_command
 
     raise typer.Exit(run_command(name, config, connect=connect, wait=wait))
@@ -67,7 +67,7 @@ def check(
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Watch a live sensor and say what is wrong: exit 0 if nothing is, 1 if a line fails."""
+    """Watch a live sensor and say what is wrong. Exit 0 if nothing is, 1 if a line fails."""
     from rpod.driver.check import CheckOptions, check_command
 
     options = CheckOptions(
@@ -92,7 +92,7 @@ def new(
         Path, typer.Option("--out", help="Folder in which the package's folder is made.")
     ] = Path(),
 ) -> None:
-    """Write the package of a driver: driver, configuration, tests and systemd unit, which run at once."""
+    """Write the package of a new driver. Its driver, configuration, tests and systemd unit run at once."""
     from rpod.driver.command import new_command
 
     raise typer.Exit(new_command(template, name, out=out))
@@ -102,7 +102,7 @@ def new(
 def faults(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
 ) -> None:
-    """List the faults that the check knows, and that scenarios and queries may ask for."""
+    """List the faults of sensors. 'rpod driver check' knows them; scenarios and queries may ask for them."""
     from rpod.driver.command import faults_command
 
     raise typer.Exit(faults_command(as_json=as_json))

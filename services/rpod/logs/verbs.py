@@ -25,7 +25,7 @@ def report(
     ] = False,
     _no_limits: NoLimits = False,
 ) -> None:
-    """Score a log, or several in comparison; write an HTML report and summary.json beside it."""
+    """Score a log, or compare several. It writes an HTML report and summary.json."""
     from rpod.logs.report import report_command
 
     raise typer.Exit(report_command(logs, out=out, as_json=as_json))
@@ -45,7 +45,7 @@ def replay(
         Path | None, typer.Option("--out", help="Log to write; <log>.replay.mcap by default.")
     ] = None,
     bus: Annotated[
-        bool, typer.Option("--bus", help="Play onto the bus instead of through the navigator.")
+        bool, typer.Option("--bus", help="Play onto the bus instead of through the estimator.")
     ] = False,
     connect: Annotated[
         str | None, typer.Option("--connect", help="Endpoint of the router, with --bus.")
@@ -68,7 +68,10 @@ def replay(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
     _no_limits: NoLimits = False,
 ) -> None:
-    """Replay a log: through the navigator with any configuration, or onto the bus."""
+    """Replay a log through the estimator, or onto the bus.
+
+    The estimator may have another configuration than it had in the log.
+    """
     from rpod.logs.replay import BusOptions, bus_command, navigator_command
 
     if bus or connect or wait:
@@ -90,7 +93,7 @@ def verify_log(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Compare logs with the digest chains that the logger wrote: exit 0 if they are as they were written."""
+    """Compare logs with their digest chains. Exit 0 if they are as the logger wrote them."""
     from rpod.logs.verify import verify_log_command
 
     raise typer.Exit(verify_log_command(logs, authority=authority, as_json=as_json))

@@ -7,7 +7,6 @@ import typer
 
 pki_verbs = typer.Typer(
     name="pki",
-    help="Certificates and access rules for a secure bus.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -29,7 +28,7 @@ def pki() -> None:
 
 @pki_verbs.command()
 def init(host: HostOption = None, days: DaysOption = 3650, folder: FolderOption = _FOLDER) -> None:
-    """Make an authority, and the router's certificate. Keep FOLDER/authority off the router's host."""
+    """Make an authority and the router's certificate. Keep FOLDER/authority off the router's host."""
     from rpod.pki.command import init_command
 
     raise typer.Exit(init_command(folder, hosts=host or (), days=days))
@@ -45,7 +44,7 @@ def issue(
     days: DaysOption = 365,
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Issue the certificate of a service; its folder of credentials goes to the service's host."""
+    """Issue the certificate of a service. Its folder goes to the service's host."""
     from rpod.pki.command import issue_command
 
     raise typer.Exit(issue_command(folder, role, name, hosts=host or (), days=days))
@@ -56,7 +55,7 @@ def request(
     role: Annotated[str, typer.Argument(help="Role, as 'rpod pki show' lists them.")],
     folder: Annotated[Path, typer.Argument(help="Folder of the credentials, named as the instance.")],
 ) -> None:
-    """Make a key on this host, and a request for its certificate, which goes to the authority."""
+    """Make a key on this host, and a request for its certificate. The request goes to the authority."""
     from rpod.pki.command import request_command
 
     raise typer.Exit(request_command(folder, role))
@@ -69,7 +68,7 @@ def sign(
     days: DaysOption = 365,
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Issue, or renew, the certificate of a key that was made elsewhere."""
+    """Issue or renew a certificate for a key of another host."""
     from rpod.pki.command import sign_command
 
     raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days))
@@ -80,7 +79,7 @@ def accept(
     signed: Annotated[Path, typer.Argument(help="Folder that 'rpod pki sign' made.")],
     folder: Annotated[Path, typer.Argument(help="Folder of the credentials, in which the key waits.")],
 ) -> None:
-    """Complete credentials with the certificate that the authority signed."""
+    """Complete credentials with a signed certificate."""
     from rpod.pki.command import accept_command
 
     raise typer.Exit(accept_command(signed, folder))
@@ -94,7 +93,7 @@ def renew(
     days: DaysOption = 365,
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Replace certificates before they end; services that run take the new ones by themselves."""
+    """Replace certificates before they end. Running services take the new ones by themselves."""
     from rpod.pki.command import renew_command
 
     raise typer.Exit(renew_command(folder, names or (), days=days))
@@ -105,7 +104,7 @@ def revoke(
     names: Annotated[list[str], typer.Argument(help="Names whose rights end.")],
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Take rights away: make the rules anew and restart the router after it."""
+    """Take rights away. Then make the rules anew and restart the router."""
     from rpod.pki.command import revoke_command
 
     raise typer.Exit(revoke_command(folder, names))
@@ -127,7 +126,7 @@ def rules(
     ] = "router",
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Make the router's access rules of the facility's configuration and of the valid certificates."""
+    """Make the router's access rules. They follow from the configuration and the valid certificates."""
     from rpod.pki.command import rules_command
 
     raise typer.Exit(rules_command(folder, members, out=out, router=router))
@@ -135,7 +134,7 @@ def rules(
 
 @pki_verbs.command()
 def show(folder: FolderOption = _FOLDER, as_json: JsonOption = False) -> None:
-    """List certificates, with their roles and ends, and the roles that there are."""
+    """List certificates with roles and ends, and all roles."""
     from rpod.pki.command import show_command
 
     raise typer.Exit(show_command(folder, as_json=as_json))
@@ -145,7 +144,7 @@ def show(folder: FolderOption = _FOLDER, as_json: JsonOption = False) -> None:
 def audit(
     record: Annotated[Path, typer.Argument(help="Audit record: audit.jsonl of a folder of credentials.")],
 ) -> None:
-    """Check that no line of an audit record was changed, removed or put in."""
+    """Check that an audit record was not changed."""
     from rpod.pki.command import audit_command
 
     raise typer.Exit(audit_command(record))

@@ -10,7 +10,6 @@ import typer
 
 target_verbs = typer.Typer(
     name="target",
-    help="Make a target from a CAD file, and see what rpod makes of it.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -64,7 +63,10 @@ def new(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Write a target's parameter file from a CAD file: parts, materials, mass, symmetries."""
+    """Write a target's parameter file from a CAD file.
+
+    It has parts, materials, mass and symmetries.
+    """
     if origin not in {"auto", "file", "centre"}:
         raise typer.BadParameter("is not one of auto, file, centre", param_hint="--origin")
     _needs(cad, "new")
@@ -103,7 +105,10 @@ def check(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Say what rpod makes of a target: size, repairs, symmetries, accuracy, methods; draw it."""
+    """Say what rpod makes of a target, and draw it.
+
+    It tells size, repairs, symmetries, the accuracy to expect by range, and how methods do.
+    """
     if file.suffix or len(file.parts) > 1:  # no name
         _needs(file, "check")
     from rpod.target.command import check_command

@@ -33,7 +33,7 @@ CaseName = Literal[
 class Options(PmdOptions):
     """Acceptance of frames of the target and of something else."""
 
-    title: ClassVar[str] = "Acceptance of frames of the target and of something else"
+    title: ClassVar[str] = "Acceptance of frames of the target and of other things"
 
     trials: Trials = 100
     ranges: Ranges = (2.1, 7.0)

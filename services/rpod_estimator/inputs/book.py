@@ -136,8 +136,9 @@ class SensorBook:
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
         level = Health.ERROR if len(losses) == frames else Health.WARN
         past_s = now_s - self._recent[0].time_s
-        looks = f"; 'rpod driver check {self.name}' looks for errors of the sensor"
-        text = latest.text + looks * (level == Health.ERROR and latest.kind == REJECTED)
+        text = latest.text
+        if level == Health.ERROR and latest.kind == REJECTED:
+            text += f"; 'rpod driver check {self.name}' looks for errors of the sensor"
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self, now_s: float) -> InputState:

@@ -73,7 +73,7 @@ class StampedInput(ABC, Generic[TrackT]):
         if not self._tracks:
             return
         self._take(self._inbox.wait(0.0))
-        ends_s = time.monotonic() + self._wait_s * (not self._missing)
+        ends_s = time.monotonic() + (0.0 if self._missing else self._wait_s)
         while not all(track.covers(stamp_ns) for track in self._tracks.values()) and (
             (left_s := ends_s - time.monotonic()) > 0.0
         ):

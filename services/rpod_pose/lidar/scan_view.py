@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import Hits, RayGrid
+from rpod_geometry.rays import NEAREST_M, Hits, RayGrid
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array, LidarScan
 
-NEAREST_M, FARTHEST_M = 0.05, 1e5
-"""Limits of a valid range. Physics: many sensors send a point in their origin for a ray without a return, and
-none measures 100 km."""
+FARTHEST_M = 1e5
+"""Greatest valid range; no LIDAR measures 100 km. Physics: the least one is ``NEAREST_M``, because many
+sensors send a point in their origin for a ray without a return."""
 
 HIDDEN_M = np.inf
 """Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""

@@ -28,6 +28,7 @@ class Coasting:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._config, self._limits = settings.filter, settings.navigator
+        self._stale_after_s = settings.stale_after_s
         self._alerts = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
 
     def aged(self, state: NavigatorState, stamp_ns: int) -> tuple[NavigatorState, str]:
@@ -46,7 +47,7 @@ class Coasting:
         return is_supported(
             state.streams,
             stamp_ns,
-            at_least_s=self._limits.coasting_after_s,
+            at_least_s=self._stale_after_s,
             unknown_s=self._limits.silence_timeout_s,
         )
 
@@ -62,7 +63,7 @@ class Coasting:
         names = [
             name
             for name, stream in state.streams.items()
-            if stream.supports(stamp_ns, self._limits.coasting_after_s, self._limits.silence_timeout_s)
+            if stream.supports(stamp_ns, self._stale_after_s, self._limits.silence_timeout_s)
         ]
         told = [_beyond(self._alerts[name], predicted) for name in names]
         return told[0] if told and all(told) else ""

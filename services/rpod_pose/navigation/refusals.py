@@ -20,7 +20,7 @@ class Refusals:
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
-        self._config, self._wait_s = settings.filter, settings.navigator.coasting_after_s
+        self._config, self._wait_s = settings.filter, settings.stale_after_s
 
     def cannot_wait(self, history: History, stamp_ns: int) -> bool:
         """Return whether the track would be without a measurement for too long if a pose was refused.

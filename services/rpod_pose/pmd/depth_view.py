@@ -20,8 +20,8 @@ from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthImageCon
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
-NEAR_M, FARTHEST_M = 0.05, 1e3
-"""Limits of a valid depth. Physics: no camera measures nearer, and none has light for a kilometre."""
+FARTHEST_M = 1e3
+"""Greatest valid depth; the least one is ``NEAREST_M``. Physics: no camera has light for a kilometre."""
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden. Hand: a larger value
 keeps points behind thin parts, a smaller one loses points by noise."""

@@ -248,7 +248,7 @@ def count_inconsistent(
     range_m, sigma_m, amplitude = seen
     nearest_m, owner = shown.coarse.range_m, shown.coarse.triangle
     dark, bright, glinting = shades
-    tolerance, bias, reach, reflected = tolerated
+    reach = tolerated.place_px
     rows, columns = owner.shape
     full = np.zeros((2, rows + patch, columns + patch), np.int32)
     marked = np.zeros((rows, columns), np.bool_)
@@ -257,11 +257,12 @@ def count_inconsistent(
         for j in range(columns):
             shade, is_missing = amplitude[i, j], False
             if range_m[i, j] > 0.0:
-                measured, slack = range_m[i, j] - bias, max(tolerance, SIGMAS * sigma_m[i, j])
+                measured = range_m[i, j] - tolerated.bias_m
+                slack = max(tolerated.range_m, SIGMAS * sigma_m[i, j])
                 pixels += 1
                 if abs(measured - nearest_m[i, j]) <= slack:
                     continue
-                longer = slack + longer_m(shown.coarse, i, j, reflected)
+                longer = slack + longer_m(shown.coarse, i, j, tolerated.reflected_m)
                 low, high, _ = _around(shown, i, j, reach)
                 if low - slack <= measured <= high + longer:
                     continue

@@ -5,7 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
-from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
+from rpod_geometry.rays import NEAREST_M
+from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView
 from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
@@ -57,7 +58,7 @@ class PmdFrames:
             return None
         grid = view.rays(1) if stride == 1 else view.coarse
         depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
-        depth_m = np.where((depth_m > NEAR_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
+        depth_m = np.where((depth_m > NEAREST_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
         hidden = None if frame.hidden is None else frame.hidden[view.offset :: stride, view.offset :: stride]
         return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32), hidden)
 

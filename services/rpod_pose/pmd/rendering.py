@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import RayGrid
+from rpod_geometry.rays import NEAREST_M, RayGrid
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
-NEAREST_M = 0.05
-"""Least distance in the conversion of lengths to pixels. Physics: no camera measures nearer."""
 NINE = 9
 """Number of rays: a pixel and its eight neighbours. Physics: 3 x 3."""
 

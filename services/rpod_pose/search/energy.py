@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.lie_group import Vector
 from rpod_pose.search.view_model import Points, view_of
@@ -24,8 +25,8 @@ from rpod_schemas.types import Float32Array
 
 CELLS = 96
 """Cells of the image of distances from returns, along each side. Numerics: memory and time."""
-NEAREST_M = np.float32(0.05)
-"""Least z of a point in view. Physics: no sensor measures nearer."""
+LEAST_Z_M = np.float32(NEAREST_M)
+"""Least z of a point in view, in the kernel's precision."""
 NOTHING_IN_VIEW = 1e9
 """Energy of an attitude with no point in view. Numerics: larger than any other energy."""
 
@@ -230,7 +231,7 @@ def _project(  # noqa: PLR0917
     for k in range(count):
         x, y, z, u, v = rays[0, k], rays[1, k], rays[2, k], rays[3, k], rays[4, k]
         range2 = x * x + y * y + z * z
-        in_view = (z > NEAREST_M) & (u >= none) & (u < wide) & (v >= none) & (v < high)
+        in_view = (z > LEAST_Z_M) & (u >= none) & (u < wide) & (v >= none) & (v < high)
         rays[5, k] = rays[5, k] / (range2 * np.sqrt(range2)) if in_view else none
 
 

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from configparser import ConfigParser
+from contextlib import ExitStack
 from importlib import import_module
 
 import pytest
@@ -15,21 +16,31 @@ from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
 
 
-@pytest.mark.parametrize("template", TEMPLATES)
-def test_the_tests_of_a_new_driver_pass_before_anything_is_changed(template, tmp_path):
-    folder = scaffold(template, "my_camera", tmp_path)
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    """The tests of a new driver of each template, which mostly wait, started at the same time."""
+    folders = {name: scaffold(name, "my_camera", tmp_path_factory.mktemp(name)) for name in TEMPLATES}
+    with ExitStack() as stack:
+        yield {name: stack.enter_context(_started(name, folder)) for name, folder in folders.items()}
+
+
+def _started(template, folder):
     chosen = [] if template == "custom" else ["-k", "check"]  # the rest is the same for all
-    done = subprocess.run(
+    return subprocess.Popen(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:dash", *chosen],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
-        timeout=120,
-        check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert ("5 passed" if template == "custom" else "1 passed") in done.stdout
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_the_tests_of_a_new_driver_pass_before_anything_is_changed(template, running):
+    said, _ = running[template].communicate(timeout=120)
+    assert running[template].returncode == 0, said
+    assert ("5 passed" if template == "custom" else "1 passed") in said
 
 
 @pytest.mark.parametrize("template", TEMPLATES)

@@ -82,12 +82,12 @@ def test_a_search_that_nobody_waits_for_is_cancelled():
 
 def test_a_result_that_waits_for_a_frame_is_told_once_and_handed_out_later():
     desk, asked = Desk(), search(1)
-    assert desk.live.untold("pmd") is None
+    assert desk.live.unreported("pmd") is None
     desk.live.result(asked)
-    assert desk.live.untold("pmd") is None, "it runs"
+    assert desk.live.unreported("pmd") is None, "it runs"
     desk.worker.found = NOTHING
-    assert desk.live.untold("pmd") == (asked, NOTHING)
-    assert desk.live.untold("pmd") is None
+    assert desk.live.unreported("pmd") == (asked, NOTHING)
+    assert desk.live.unreported("pmd") is None
     assert desk.live.result(asked) is NOTHING
 
 
@@ -105,14 +105,14 @@ def test_a_single_frame_is_told_what_its_search_has_found(found, reason):
     before = estimator._state
     desk.worker.found = found
     soon_ns, late_ns = WALL.stamp_ns + 2 * SECOND_NS, WALL.stamp_ns + 3 * SECOND_NS
-    assert list(estimator.untold(soon_ns, desk.live)) == [], "the next frame may come yet"
-    (told,) = estimator.untold(late_ns, desk.live)
+    assert list(estimator.unreported(soon_ns, desk.live)) == [], "the next frame may come yet"
+    (told,) = estimator.unreported(late_ns, desk.live)
     assert told.status.reason.startswith(reason)
     assert told.status.stamp_ns == WALL.stamp_ns
     assert not told.status.accepted
     assert told.status.evidence[BEGUN] == 1.0, "a replay knows by it when the search began"
     assert estimator._state is before
-    assert list(estimator.untold(late_ns, desk.live)) == []
+    assert list(estimator.unreported(late_ns, desk.live)) == []
 
 
 def test_another_search_takes_the_place_of_the_one_that_runs():

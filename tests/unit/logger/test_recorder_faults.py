@@ -9,6 +9,7 @@ from facility_process import until
 from logger_desk import Desk, completeness, counts, early_metadata, read, readable
 from small_disk import small_disk
 
+from rpod_logger import recorder
 from rpod_logger.errors import CannotWriteError
 from rpod_logger.writer import LogFile
 from rpod_schemas.topics import CLOCK, TF_STATIC, Topic
@@ -31,8 +32,9 @@ def done(desk: Desk) -> int:
 
 
 def test_on_a_full_disk_the_file_is_closed_and_the_next_one_starts_when_there_is_room(
-    desk, arrive, tmp_path, caplog
+    desk, arrive, tmp_path, caplog, monkeypatch
 ):
+    monkeypatch.setattr(recorder, "_IDLE_S", 1e-3)
     with small_disk(tmp_path / "disk", 4 * MEBI) as disk:
         one = desk(disk.path, **SMALL)
         first = one.recorder.start()

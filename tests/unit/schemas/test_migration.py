@@ -34,6 +34,11 @@ def of_version_2() -> dict[str, Any]:
     return {**with_old_names(config, 2), VERSION_FIELD: 2}
 
 
+def of_today() -> EstimatorConfig:
+    """The same configuration as today's model has it."""
+    return check_logged(EstimatorConfig, of_version_1(), source="run.mcap").config
+
+
 def with_old_names(config: BaseModel, version: int) -> dict[str, Any]:
     """A configuration as it is logged, its fields under the names that they had in a version."""
     old_names = {new: old for old, new in renamed_since(version).items()}
@@ -173,6 +178,15 @@ def test_a_log_of_version_4_is_read_with_the_names_and_the_tuning_of_version_5(
     (line,) = caplog.messages
     assert "now tuning: sensors.0.acquisition (attitudes)" in line
     assert "verdict -> acceptance" in line
+
+
+@pytest.mark.parametrize(("value", "unknown"), [(0.2, ()), (0.4, ("navigator.coasting_after_s",))])
+def test_a_merged_field_is_named_only_where_it_had_another_value(value: float, unknown: tuple[str]) -> None:
+    document = {**logged(of_today()), VERSION_FIELD: 5}
+    document["navigator"]["coasting_after_s"] = value
+    migrated = check_logged(EstimatorConfig, document, source="run.mcap")
+    assert (migrated.version, migrated.unknown) == (5, unknown)
+    assert migrated.config.stale_after_s == 0.2
 
 
 def test_a_logged_camera_with_a_thinned_stream_has_it_under_its_present_name() -> None:

@@ -48,7 +48,7 @@ class Server(BaseHTTPRequestHandler):
 def server(name):
     handler = type(name, (Server,), {"name": name})
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as serving:
-        Thread(target=serving.serve_forever, daemon=True).start()
+        Thread(target=serving.serve_forever, args=(0.01,), daemon=True).start()
         yield serving.server_address[1]
         serving.shutdown()
 

@@ -154,10 +154,6 @@ class NavigatorConfig(Config):
     confirmations: Annotated[int, Field(ge=0)] = 1
     """Number of frames after that of the acquisition that must verify its pose before TRACKING. Raise it if a
     wrong first pose costs more than a later one; 0 tracks from the first accepted pose."""
-    coasting_after_s: Positive = 0.2
-    """Longest time without an accepted measurement in TRACKING, s; one and a half periods of a slower sensor.
-    After it the mode is COASTING: the prediction is published while it is within the alert limit of the
-    sensor that was accepted last. Set it to ``stale_after_s``."""
     silence_timeout_s: Positive = 2.5
     """Longest time in which no sensor sends anything before the mode is COASTING, s. Set it above the longest
     regular gap of the slowest sensor."""
@@ -180,6 +176,10 @@ class EstimatorSettings(Config):
     surroundings: Path | None = None
     """File of what is known of the sensors' surroundings: range gates, masks, and the backgrounds that ``rpod
     calibrate background`` writes. Set it if other things fill much of the frames."""
+    stale_after_s: Positive = 0.2
+    """Longest time without a new accepted measurement in which an estimate is valid, s; one and a half
+    periods of a slower sensor. After it the mode is COASTING: the prediction is published while it is within
+    the alert limit of the sensor that was accepted last. Set it to what your robot tolerates."""
     navigator: NavigatorConfig = NavigatorConfig()
     """Configuration of the navigator's state machine."""
     filter: FilterConfig = Field(default_factory=FilterConfig)
@@ -211,9 +211,6 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     max_age_s: Positive = 1.0
     """Largest age of a frame on arrival, s; older frames are late and not used. Raise it for slow links or
     long exposures; the estimates are then delayed as much."""
-    stale_after_s: Positive = 0.2
-    """Longest time without a new measurement in which an estimate is valid, s; one and a half periods of a
-    slower sensor. Set it to what your robot tolerates; ``estimate/validity`` tells when it has passed."""
     changed_setup: Literal["refuse", "accept"] = "refuse"
     """Treatment of a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
     not use its frames until a reset; set ``accept`` if a driver may correct them in service, and nobody else

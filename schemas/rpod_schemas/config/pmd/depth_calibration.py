@@ -52,7 +52,7 @@ class Harmonic(Config):
 
 
 class CalibrationEvidence(Config):
-    """Data from which a calibration was derived; they are not needed to apply it."""
+    """Data from which a calibration was derived. Only ``bias_after_m`` is used when it is applied."""
 
     logs: tuple[str, ...]
     """Names of the logs from which the calibration was derived."""

@@ -45,6 +45,7 @@ class Newcomers:
         accepting: Accepting,
     ) -> None:
         self._config, self._limits = settings.filter, settings.navigator
+        self._stale_after_s = settings.stale_after_s
         self._registrar, self._output, self._accepting = registrar, output, accepting
 
     def offer(
@@ -90,7 +91,7 @@ class Newcomers:
         return not is_supported(
             streams,
             event.stamp_ns,
-            at_least_s=self._limits.coasting_after_s,
+            at_least_s=self._stale_after_s,
             unknown_s=self._limits.silence_timeout_s,
         )
 

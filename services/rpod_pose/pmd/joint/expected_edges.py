@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -38,8 +38,6 @@ from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
-NEAR_M = 0.05
-"""Least z of a sample that is projected. Physics: no camera measures nearer."""
 OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
 ALIASED_PX = 0.25
@@ -183,7 +181,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
             continue
         x, y, z = in_sensor(R, edges.places_m[n, 0], edges.places_m[n, 1], edges.places_m[n, 2])
         x, y, z = x + t[0], y + t[1], z + t[2]
-        if z < NEAR_M:
+        if z < NEAREST_M:
             continue
         at = imaged(x / z, y / z, lens)
         u, v = at.column - patch.column, at.row - patch.row
@@ -218,7 +216,7 @@ def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, focal_px: fl
     """Return how far a target of a given radius moves in the image from one pose to another, px at most."""
     turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
     shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
-    return float(focal_px * (shifted_m + turned * radius_m) / max(pose.t[2], NEAR_M))
+    return float(focal_px * (shifted_m + turned * radius_m) / max(pose.t[2], NEAREST_M))
 
 
 @kernel

@@ -49,8 +49,6 @@ Hand: about the width over which a change is blurred; expected errors are propor
 SHIFT_PX = 0.5
 """Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
 Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
-NEAREST_M = 0.05
-"""Least distance in the weights of edges. Physics: no camera measures nearer."""
 
 
 class EdgeSight(NamedTuple):

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import GridArrays
-from rpod_pose.pmd.depth_view import FARTHEST_M, NEAR_M, DepthView
+from rpod_geometry.rays import NEAREST_M, GridArrays
+from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
@@ -227,7 +227,7 @@ def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
     """Return the depth of what is seen of a target. Its origin may lie beside or behind a close camera."""
     own = np.square(points_m - t).sum(axis=1) < radius_m**2
     z_m = np.median(points_m[own, 2]) if own.any() else t[2]
-    return max(float(z_m), NEAR_M)
+    return max(float(z_m), NEAREST_M)
 
 
 def _stride(frame: PmdFrame, around: _Window, *, radius_px: float, points: int) -> int:
@@ -365,7 +365,7 @@ def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels)
                     seen += 1
                     light += amplitude[v, u]
                     z = np.float64(depth[v, u])
-                    if not NEAR_M < z < FARTHEST_M:
+                    if not NEAREST_M < z < FARTHEST_M:
                         continue
                     k = count
                     while k > 0 and nine[k - 1] > z:

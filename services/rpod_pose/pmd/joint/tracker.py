@@ -21,7 +21,7 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
+from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers, cast_pose
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
@@ -33,7 +33,6 @@ from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.fit import (
-    NEAREST_M,
     DepthErrors,
     EdgeErrors,
     EdgeSight,

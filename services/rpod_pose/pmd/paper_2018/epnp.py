@@ -16,12 +16,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.paper_2018.edge_image import EdgeImage, edge_image
 from rpod_pose.pmd.paper_2018.edge_lines import ImageLine, Reach, intersection, matched_line
 from rpod_pose.pmd.paper_2018.nose_circle import DiscPlane, circle_centre
 from rpod_pose.pmd.paper_2018.perspective import Correspondences, Fit, pose_from_points
-from rpod_pose.pmd.paper_2018.wireframe_view import NEAR_M, Shown, WireframeView
+from rpod_pose.pmd.paper_2018.wireframe_view import Shown, WireframeView
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.amplitude import EpnpConfig
@@ -99,7 +100,7 @@ class EpnpTracker:
         self, image: EdgeImage, view: DepthView, T_sensor_target: RigidTransform, number: int
     ) -> Correspondences | str:
         """Return the corners and centres found around a pose, or the reason why there are none."""
-        if not NEAR_M < T_sensor_target.translation[2] < self._farthest_m:
+        if not NEAREST_M < T_sensor_target.translation[2] < self._farthest_m:
             return "the target is not in front of the camera"
         shown = self._view.shown(T_sensor_target, view)
         if isinstance(shown, str):
@@ -120,7 +121,7 @@ class EpnpTracker:
         """Return corners of the model, target axes, with their pixels: intersections of image lines."""
         config, wireframe = self._config.lines, self._view.wireframe
         corners_m = T_sensor_target.apply(wireframe.corners_m)
-        corners_m[:, 2] = np.maximum(corners_m[:, 2], NEAR_M)
+        corners_m[:, 2] = np.maximum(corners_m[:, 2], NEAREST_M)
         projected = image.project(corners_m)
         meeting: dict[int, list[ImageLine]] = {}
         for ends, silhouette in zip(wireframe.lines[shown.lines], shown.silhouette.tolist(), strict=True):

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import kernel
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_result import Progress, registration_of
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
 from rpod_pose.pmd.signed_distance import measured_equations
@@ -46,8 +47,6 @@ from rpod_target import Target
 NO_MATCH, DIRECT, NEAREST = 0, 1, 2
 """How a model point found its pixel: not at all, in its own pixel, or in the nearest with depth. Numerics:
 small whole numbers, compared for equality only."""
-NEAR_M = 0.05
-"""Least z of a point that is projected, m. Physics: no camera measures nearer."""
 STALE_M = 0.01
 """Least step after which the visible model points are determined again. Hand: visibility changes little below
 it; a smaller value costs time."""
@@ -282,7 +281,7 @@ class ReverseCalibrationIcp:
         cosine = (sight_m * target.model_normals).sum(axis=1) / np.linalg.norm(sight_m, axis=1)
         facing = cosine > self._config.min_cosine
         points_m = T_sensor_target.apply(target.model_points_m)
-        shown = np.flatnonzero(facing & (points_m[:, 2] > NEAR_M))
+        shown = np.flatnonzero(facing & (points_m[:, 2] > NEAREST_M))
         pixels = view.project(points_m[shown])
         rendered_m = view.render(target, T_sensor_target)
         return shown[view.inside(pixels) & ~view.hidden(rendered_m, points_m[shown], pixels)]

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 from rpod_target.outlines import Disc, Face, plane_faces
 
-NEAR_M = 0.05
-"""Least z of a point that is projected, m. Physics: no camera measures nearer."""
 BESIDE_STRIDES = 1.5
 """Distance from a line, in coarse pixels, at which the background is checked. Hand: past the coarse pixel in
 which the line is."""
@@ -131,8 +130,8 @@ class WireframeView:
     ) -> NDArray[np.bool_]:
         """Return which rows of points, target axes, shape (rows, knots, 3), are visible enough, (rows,)."""
         at_m = T_sensor_target.apply(points_m.reshape(-1, 3))
-        ahead = at_m[:, 2] > NEAR_M
-        at_m[~ahead, 2] = NEAR_M
+        ahead = at_m[:, 2] > NEAREST_M
+        at_m[~ahead, 2] = NEAREST_M
         pixels = view.project(at_m)
         shown = ahead & view.inside(pixels) & ~view.hidden(rendered_m, at_m, pixels)
         enough: NDArray[np.bool_] = shown.reshape(points_m.shape[:2]).mean(axis=1) >= self._min_seen_share
@@ -141,7 +140,7 @@ class WireframeView:
 
 def _before_background(ends_m: FloatArray, view: DepthView, rendered_m: FloatArray) -> NDArray[np.bool_]:
     """Return which lines, by their ends in sensor axes, shape (2 K, 3), have background along one side."""
-    ends_m[:, 2] = np.maximum(ends_m[:, 2], NEAR_M)
+    ends_m[:, 2] = np.maximum(ends_m[:, 2], NEAREST_M)
     ends = view.project(ends_m).reshape(-1, 2, 2)
     way = ends[:, 1] - ends[:, 0]
     along = way / np.maximum(np.sqrt((way**2).sum(axis=1, keepdims=True)), 1e-9)

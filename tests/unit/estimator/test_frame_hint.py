@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from rpod_estimator.sight import measured
+from rpod_estimator.frame_hint import described
 from rpod_schemas.types import Camera, PmdFrame
 
 CAMERA = Camera(width=8, height=6, fx=190.0, fy=190.0, cx=3.5, cy=2.5)
@@ -30,8 +30,8 @@ def frame(middle_m: float) -> PmdFrame:
     ],
 )
 def test_depth_that_cannot_be_of_the_target_is_told_with_the_field_to_set(middle_m: float, told: str) -> None:
-    assert re.match(told, measured(frame(middle_m), radius_m=1.0))
+    assert re.match(told, described(frame(middle_m), radius_m=1.0))
 
 
 def test_a_frame_without_a_range_tells_nothing() -> None:
-    assert not measured(frame(np.nan), radius_m=1.0)
+    assert not described(frame(np.nan), radius_m=1.0)

@@ -1,4 +1,4 @@
-"""Description of what a frame measures, for the reason why no pose was found in it.
+"""Describes what a frame measures, for the reason why no pose was found in it.
 
 A first sensor often has another unit of length than the estimator is told, or looks past the target. No
 method can tell: it finds too few pixels of the target, or none of its size. The distances themselves show it.
@@ -20,7 +20,7 @@ measures lies inside the target's sphere, at a tenth of its radius."""
 _PERCENT = (5.0, 95.0)
 
 
-def measured(data: SensorFrame, *, radius_m: float) -> str:
+def described(data: SensorFrame, *, radius_m: float) -> str:
     """Return what a frame measures, and what may be wrong with it; empty for a frame without a range.
 
     Args:

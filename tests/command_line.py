@@ -1,0 +1,22 @@
+"""The command line called in this process: an interpreter of its own for each refusal takes a second."""
+
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from subprocess import CompletedProcess
+from unittest.mock import patch
+
+from rpod.__main__ import main
+
+
+def called(*arguments: object) -> CompletedProcess[str]:
+    """Call ``rpod`` with arguments; return exit code and output as of a process."""
+    out, err = StringIO(), StringIO()
+    argv = ["rpod", *map(str, arguments)]
+    with patch.object(sys, "argv", argv), redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+            code = 0
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(bool(end.code))
+    return CompletedProcess(argv, code, out.getvalue(), err.getvalue())
