@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from typing import NamedTuple
 
-from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining
+from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining, is_expected
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -110,7 +110,7 @@ def _applied(
 ) -> _Step:
     """Return the step with a measurement, with larger accelerations if it needs them and proves them."""
     outcome = updated(predicted, measurement, config)
-    if not outcome.accepted and measurement.alone and isfinite(outcome.nis):
+    if measurement.alone and not is_expected(outcome, predicted):
         manoeuvre = explaining(before, predicted, measurement, config)
         if manoeuvre is not None:
             raised = predict(replace(before, manoeuvre=manoeuvre), measurement.stamp_ns, config)

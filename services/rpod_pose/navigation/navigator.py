@@ -324,11 +324,10 @@ class Navigator:
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        measured, proven = as_measured(registration, event), tracked and registration.begins_track
-        alone = proven and registration.belief.level is BeliefLevel.ACCEPTED
-        alone = alone and self._refusals.cannot_wait(history, event.stamp_ns)
-        offered = replace(measured, alone=alone)
-        state, nis, accepted = applied(state, history, offered, self._settings.filter, predicted)
+        accepted = registration.belief.level is BeliefLevel.ACCEPTED
+        proven = tracked and registration.begins_track and accepted
+        measured = replace(as_measured(registration, event), alone=proven)
+        state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
             if proven:
                 started = self._beginning.filter_at(measured)

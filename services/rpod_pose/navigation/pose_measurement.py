@@ -69,8 +69,8 @@ class PoseMeasurement:
     origin: Origin | None = None
     """Where it comes from; None for a pose that no sensor has measured, as a given one."""
     alone: bool = False
-    """Whether its frame proves it without the prediction, and the track cannot wait for another one: where
-    the gate refuses it, larger accelerations are tried (``dynamics/manoeuvre``)."""
+    """Whether its frame proves it without the prediction: where the gate refuses it, larger accelerations are
+    tried (``dynamics/manoeuvre``)."""
 
 
 class Shared(NamedTuple):

@@ -1,4 +1,4 @@
-"""Poses that the filter's gate refuses: whether the track can wait for another one, and what is told."""
+"""Poses that the filter's gate refuses: what is told of them."""
 
 from math import degrees, inf, isfinite
 
@@ -13,22 +13,14 @@ from rpod_schemas.messages import NANOSECONDS
 
 
 class Refusals:
-    """Treatment and report of poses that the gate refuses; its only state is its configuration.
+    """Report of poses that the gate refuses; its only state is its configuration.
 
     Args:
         settings: settings of the estimator.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
-        self._config, self._wait_s = settings.filter, settings.stale_after_s
-
-    def cannot_wait(self, history: History, stamp_ns: int) -> bool:
-        """Return whether the track would be without a measurement for too long if a pose was refused.
-
-        A faster sensor confirms its pose by the next one (``challenger``).
-        """
-        before = history.before(stamp_ns, self._config)
-        return before is not None and stamp_ns - before.stamp_ns > self._wait_s * NANOSECONDS
+        self._config = settings.filter
 
     def told(
         self,
