@@ -7,7 +7,6 @@ same, bit for bit, as if they had arrived in order. The newest stamp never goes 
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import NamedTuple
 
 from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining, is_expected
