@@ -260,7 +260,7 @@ def first_hit(tree: RayTree, ray: Ray, waiting: Waiting) -> Hit:
         if node < 0:
             continue
         for n in range(first[node], first[node] + held[node]):
-            along = _met(tree.sides_m, n, ray)
+            along = met(tree.sides_m, n, ray)
             if along < nearest:
                 nearest, found = along, n
     if found < 0:
@@ -269,7 +269,7 @@ def first_hit(tree: RayTree, ray: Ray, waiting: Waiting) -> Hit:
 
 
 @inlined_kernel
-def _met(sides: FloatArray, n: int, ray: Ray) -> float:
+def met(sides: FloatArray, n: int, ray: Ray) -> float:
     """Return the range at which a ray meets a triangle from its outer side, m; inf if it does not.
 
     Args:
@@ -371,12 +371,12 @@ def cast_tree(  # noqa: PLR0917
             range_m[i, j], triangle[i, j] = np.inf, -1
             if beyond > 0.0 and (along <= 0.0 or along * along < beyond):
                 continue
-            hit = first_hit(tree, _in_target(R, origin, x, y, z), waiting)
+            hit = first_hit(tree, in_target(R, origin, x, y, z), waiting)
             range_m[i, j], triangle[i, j] = hit.range_m, hit.triangle
 
 
 @inlined_kernel
-def _in_target(R: FloatArray, origin: FloatArray, x: float, y: float, z: float) -> Ray:
+def in_target(R: FloatArray, origin: FloatArray, x: float, y: float, z: float) -> Ray:
     """Return a ray, from its unit components in sensor axes.
 
     Args:

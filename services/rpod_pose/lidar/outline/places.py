@@ -87,7 +87,7 @@ def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
         rays: rays and target; their buffers hold the target rendered at the pose.
         assumed: statistics of returns.
     """
-    width = rays.face.shape[1]
+    width, directions = rays.face.shape[1], rays.grid.components
     pairs, count = _ending(pose, rays, JUMP * assumed.sigma_m)
     found = Places(
         count,
@@ -112,9 +112,13 @@ def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
             for j in range(max(block.left - 1, 0), block.right):
                 ray = i * width + j
                 if pairs[0, i, j] >= 0 and i >= block.top:
-                    _compare(found, off_m, (pose, rays), edge, Pair(pairs[0, i, j], ray, ray + 1))
+                    u = _crossing(directions, edge, ray, ray + 1)
+                    if u >= 0.0:
+                        _compare(found, off_m, (pose, rays), edge, Pair(pairs[0, i, j], ray, ray + 1), u)
                 if pairs[1, i, j] >= 0 and j >= block.left:
-                    _compare(found, off_m, (pose, rays), edge, Pair(pairs[1, i, j], ray, ray + width))
+                    u = _crossing(directions, edge, ray, ray + width)
+                    if u >= 0.0:
+                        _compare(found, off_m, (pose, rays), edge, Pair(pairs[1, i, j], ray, ray + width), u)
     return _without_empty(found)
 
 
@@ -218,10 +222,40 @@ def _from(values: FloatArray, value: float, including: bool) -> int:
 
 
 @inlined_kernel
-def _compare(
-    found: Places, off_m: FloatArray, scene: tuple[PoseArrays, Rays], edge: Seen, pair: Pair
+def _crossing(directions: FloatArray, edge: Seen, one: int, two: int) -> float:
+    """Return where an edge, from its start 0 to its end 1, crosses between two rays; -1 if it does not.
+
+    Most edges do not, and without records of arrays this takes a tenth of the time of ``_compare``.
+
+    Args:
+        directions: ``GridArrays.components``.
+        edge: the edge.
+        one: row-major index of the first ray.
+        two: row-major index of the other ray.
+    """
+    width = directions.shape[2]
+    i, j, k, n = one // width, one % width, two // width, two % width
+    ax, ay, az = directions[0, i, j], directions[1, i, j], directions[2, i, j]
+    bx, by, bz = directions[0, k, n], directions[1, k, n], directions[2, k, n]
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    above = x * edge.start.x + y * edge.start.y + z * edge.start.z
+    below = x * edge.end.x + y * edge.end.y + z * edge.end.z
+    if above * below > 0.0 or above == below:
+        return -1.0
+    u = above / (above - below)
+    px = edge.start.x + u * (edge.end.x - edge.start.x)
+    py = edge.start.y + u * (edge.end.y - edge.start.y)
+    pz = edge.start.z + u * (edge.end.z - edge.start.z)
+    of_a = (py * bz - pz * by) * x + (pz * bx - px * bz) * y + (px * by - py * bx) * z
+    of_b = (ay * pz - az * py) * x + (az * px - ax * pz) * y + (ax * py - ay * px) * z
+    return -1.0 if of_a < 0.0 or of_b < 0.0 or not of_a + of_b > 0.0 else u
+
+
+@inlined_kernel
+def _compare(  # noqa: PLR0917
+    found: Places, off_m: FloatArray, scene: tuple[PoseArrays, Rays], edge: Seen, pair: Pair, u: float
 ) -> None:
-    """Take an edge as the place of a pair, if it crosses between its rays and is nearer to what ends there.
+    """Take an edge that crosses between the rays of a pair as its place, if it is nearer to what ends there.
 
     Args:
         found: places so far, input and output.
@@ -229,22 +263,15 @@ def _compare(
         scene: pose, rays and target.
         edge: the edge.
         pair: the pair.
+        u: ``_crossing`` of the edge between the pair's rays.
     """
     pose, rays = scene
     a, b = direction_of(rays, pair.one), direction_of(rays, pair.two)
-    m = cross(a, b)
-    above, below = dot(m, edge.start), dot(m, edge.end)
-    if above * below > 0.0 or above == below:
-        return
-    u = above / (above - below)
     p = Vector(
         edge.start.x + u * (edge.end.x - edge.start.x),
         edge.start.y + u * (edge.end.y - edge.start.y),
         edge.start.z + u * (edge.end.z - edge.start.z),
     )
-    of_a, of_b = dot(cross(p, b), m), dot(cross(a, p), m)
-    if of_a < 0.0 or of_b < 0.0 or not of_a + of_b > 0.0:
-        return
     front, back, outwards = pair.one, pair.two, cross(edge.start, edge.end)
     if edge.turn * (dot(a, outwards) - dot(b, outwards)) > 0.0:
         front, back = back, front
