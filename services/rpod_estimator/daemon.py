@@ -53,9 +53,8 @@ def _serve(
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
         bodies = BodyReport(node, estimator.bodies)
-        validity = Validity(config.stale_after_s)
-        with Beacon(validity, outputs.tell, node.clock) as beacon:
-            service = _Service(estimator, subscriptions, outputs, validity, beacon, searches=live)
+        with Beacon(Validity(config.stale_after_s), outputs.tell, node.clock) as beacon:
+            service = _Service(estimator, subscriptions, outputs, beacon, searches=live)
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
             while not stop.is_set():
@@ -90,13 +89,12 @@ class _Service:
         estimator: Estimator,
         subscriptions: Subscriptions,
         outputs: Outputs,
-        validity: Validity,
         beacon: Beacon,
         *,
         searches: LiveSearches,
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
-        self._outputs, self._validity, self._beacon = outputs, validity, beacon
+        self._outputs, self._beacon = outputs, beacon
         self._searches = searches
 
     def reset(self, request: ResetRequest) -> Accepted:
@@ -117,8 +115,7 @@ class _Service:
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""
         if output is not None:
-            self._validity.take(output, arrived, now_s=self._beacon.arrival_s(arrived))
-            self._outputs.publish_estimate(output, self._beacon.current())
+            self._outputs.publish_estimate(output, self._beacon.take(output, arrived))
             since_s = arrived.arrival_s if arrived is not None else None
             frozen = arrived is not None and arrived.refused == Reason.FROZEN
             integrity = self._estimator.integrity(output, frozen=frozen)

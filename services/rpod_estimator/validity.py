@@ -63,12 +63,15 @@ class Validity:
         self._mode = Mode.ACQUIRING
         self._of_no_use = ""
         self._stamp_ns = self._measured_ns = 0
+        self.newest_ns = 0
+        """Newest stamp of a result or a frame so far."""
         self._lock = Lock()
 
     def take(self, output: Output, arrived: Arrived | None = None, *, now_s: float) -> None:
         """Note a result of the estimator, and the frame that it is of, which arrived at ``now_s``."""
         with self._lock:
             self._mode = output.status.mode
+            self.newest_ns = max(self.newest_ns, _newest_ns(output, arrived))
             if output.odometry is not None:
                 self._stamp_ns, self._of_no_use = output.odometry.stamp_ns, output.of_no_use
             if arrived is not None:
@@ -121,7 +124,8 @@ class Beacon:
     """Tells the validity between the estimates: at once when it ends, and otherwise every ``BEACON_S``.
 
     Where time comes from the bus it is silent, because a thread of its own would make runs differ; there the
-    validity is told with each result.
+    validity is told with each result, at the newest stamp of the results. A message of the clock may arrive
+    after a frame that was published later, so that the clock's time would differ between runs.
 
     Args:
         validity: the validity to tell.
@@ -137,16 +141,22 @@ class Beacon:
         self._thread = Thread(target=self._run, name="validity", daemon=True)
 
     def now_s(self) -> float:
-        """Return the time in which the age of measurements counts: monotonic, or that of the bus."""
-        return self._clock.now_ns() / NANOSECONDS if self.is_silent else time.monotonic()
+        """Return the time in which the age of measurements counts: monotonic, or that of the results."""
+        return self._validity.newest_ns / NANOSECONDS if self.is_silent else time.monotonic()
 
-    def arrival_s(self, arrived: Arrived | None) -> float:
-        """Return the time of arrival of a frame, so that its processing counts; now if there is none."""
-        return arrived.arrival_s if arrived is not None and not self.is_silent else self.now_s()
+    def take(self, output: Output, arrived: Arrived | None) -> EstimateValidity:
+        """Note a result and the frame that it is of, from whose arrival its age counts; return its validity."""
+        if self.is_silent:
+            now_s = max(self._validity.newest_ns, _newest_ns(output, arrived)) / NANOSECONDS
+        else:
+            now_s = arrived.arrival_s if arrived is not None else self.now_s()
+        self._validity.take(output, arrived, now_s=now_s)
+        return self.current()
 
     def current(self) -> EstimateValidity:
         """Return the validity now."""
-        return self._validity.at(self.now_s(), self._clock.now_ns())
+        now_ns = self._validity.newest_ns if self.is_silent else self._clock.now_ns()
+        return self._validity.at(self.now_s(), now_ns)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -169,3 +179,9 @@ class Beacon:
         """Return the time to the next message: when the estimate becomes invalid, if that is earlier."""
         left_s = self._validity.deadline_s() - self.now_s()
         return min(BEACON_S, left_s + _MARGIN_S) if left_s > 0.0 else BEACON_S
+
+
+def _newest_ns(output: Output, arrived: Arrived | None) -> int:
+    """Return the newest stamp of a result and its frame, ns; 0 without one."""
+    odometry_ns = output.odometry.stamp_ns if output.odometry is not None else 0
+    return max(odometry_ns, arrived.stamp_ns if arrived is not None else 0)

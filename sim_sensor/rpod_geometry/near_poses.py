@@ -50,14 +50,14 @@ class NearTriangles(NamedTuple):
 
 @kernel
 def is_near(poses: NearPoses, R: FloatArray, t: FloatArray) -> bool:
-    """Return whether a pose R, t of the target in the sensor is one of those near one another."""
+    """Return whether a pose R (3, 3), t (3,) of the target in the sensor is one of those near one another."""
     apart_m, turn_rad = apart(poses.R, poses.t, R, t)
     return apart_m <= poses.apart_m and turn_rad <= poses.turn_rad
 
 
 @kernel
 def no_triangles(R: FloatArray, t: FloatArray) -> NearTriangles:
-    """Return lists that hold for no pose, from a pose R, t of the target in the sensor."""
+    """Return lists that hold for no pose, from a pose R (3, 3), t (3,) of the target in the sensor."""
     poses = NearPoses(R, t, -1.0, -1.0)
     return NearTriangles(poses, np.zeros(1, np.int64), np.empty(0, np.int32), np.empty(0))
 
