@@ -145,7 +145,7 @@ class Beacon:
         return self._validity.newest_ns / NANOSECONDS if self.is_silent else time.monotonic()
 
     def take(self, output: Output, arrived: Arrived | None) -> EstimateValidity:
-        """Note a result and the frame that it is of, from whose arrival its age counts; return its validity."""
+        """Note a result and its frame, from whose arrival its age counts; return its validity."""
         if self.is_silent:
             now_s = max(self._validity.newest_ns, _newest_ns(output, arrived)) / NANOSECONDS
         else:

@@ -144,7 +144,7 @@ def test_where_time_comes_from_the_bus_no_thread_tells_anything():
 
 def test_where_time_comes_from_the_bus_the_age_counts_to_the_newest_stamp_whatever_the_clock_says():
     validity, clock = Validity(0.2), BusClock()
-    with Beacon(validity, lambda message: None, clock) as beacon:
+    with Beacon(validity, print, clock) as beacon:
         first = beacon.take(result(1.0), Arrived("pmd", SECOND_NS, 0.0, None))
         assert (first.valid, first.age_s) == (True, pytest.approx(0.0, abs=1e-6))
         late_ns = round(1.3 * SECOND_NS)
