@@ -40,6 +40,7 @@ from scipy.special import chdtri, logit, softmax
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
+from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
 from rpod_pose.pmd.joint.expected_edges import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker, WholeFrameTracker
@@ -53,9 +54,6 @@ from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
-CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
-"""Difference of two log likelihoods from which one of them is preferred. Physics: a likelihood-ratio test at
-95 %."""
 MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
 """Greatest drop of the log likelihood by an alignment. Physics: six parameters of the pose may have been
 fitted to the noise before, and a likelihood-ratio test at 99 % allows for them."""

@@ -1,9 +1,12 @@
 """The belief in a pose by one frame of a PMD camera: by its pixels, its edges and its scale."""
 
+import math
+
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.frame_check import Contradictions
-from rpod_pose.pmd.joint.edge_consistency import bias_sigmas, misplaced_edges, wrong_scale
-from rpod_schemas.config.pmd.joint import JointTuning
+from rpod_pose.ports import PartSolution
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 
 
 def frame_belief(
@@ -41,3 +44,75 @@ def frame_belief(
     if in_place < limits.weak_edge_share:
         return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
     return Belief(evidence=evidence)
+
+
+def edges_in_place(limits: JointAcceptanceConfig, *, edges: int, expected: float, checked: int) -> float:
+    """Return the share of the expected edges found near their place, plus an allowance for chance.
+
+    The result is 1 if too few places are checked.
+
+    Args:
+        limits: least numbers and shares that are conclusive.
+        edges: number of edges found near their expected place.
+        expected: expected number of these, given the noise and how well brightness is known.
+        checked: number of checked places.
+    """
+    if checked < limits.min_edges:
+        return 1.0
+    expected = max(expected, 1.0)
+    return edges / expected + 1.0 / math.sqrt(expected)
+
+
+def misplaced_edges(limits: JointAcceptanceConfig, in_place: float) -> str:
+    """Return why the edges are inconsistent with a pose; empty if they are not."""
+    if in_place >= limits.min_edge_share:
+        return ""
+    return f"{in_place:.0%} of the edges are in their place, {limits.min_edge_share:.0%} needed"
+
+
+def bias_sigmas(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> float:
+    """Return the bias of the ranges beyond that of ``scale_share``, in standard deviations of the camera's.
+
+    Args:
+        limits: tolerances.
+        bias_m: length by which all ranges are too long for the edges, as fitted.
+        sigma_m: standard deviation of the camera's bias.
+        range_m: distance of the target.
+    """
+    return max(abs(bias_m) - limits.scale_share * range_m, 0.0) / sigma_m
+
+
+def wrong_scale(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
+    """Return why ranges and edges cannot belong to one target; empty if they can.
+
+    Edges show the apparent size of the target, ranges its distance. The two are inconsistent for a target of
+    another size, or in an image with another focal length.
+
+    Args:
+        limits: tolerances.
+        bias_m: as for ``bias_sigmas``.
+        sigma_m: as for ``bias_sigmas``.
+        range_m: as for ``bias_sigmas``.
+    """
+    if bias_sigmas(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m) <= limits.bias_sigmas:
+        return ""
+    most_m = limits.bias_sigmas * sigma_m + limits.scale_share * range_m
+    return f"ranges are {bias_m:+.3f} m off the distance that the edges give, {most_m:.3f} m at most"
+
+
+def by_distances(t: FloatArray, bias_m: float, sigma_m: float, scale: float) -> PartSolution:
+    """Return the position by the measured distances alone, without the size that the edges show.
+
+    Edges tell the distance by the size of the target as its model has it. A model of another size is seen in
+    the fitted bias of the distances only.
+
+    Args:
+        t: position of the target in the sensor, shape (3,), m.
+        bias_m: as for ``bias_sigmas``.
+        sigma_m: as for ``bias_sigmas``.
+        scale: standard deviation of the target's size, as a share, that its file declares.
+    """
+    range_m = math.hypot(*t)
+    return PartSolution(
+        "measured distances alone", bias_m * t / range_m, math.hypot(sigma_m, scale * range_m)
+    )

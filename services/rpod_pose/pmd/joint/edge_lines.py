@@ -59,6 +59,7 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
             expected.place[mine],
             expected.probability[mine],
             expected.change[mine],
+            expected.merged[mine],
         )
         sums = no_sums()
         part = EdgeSight(sight.edges, sight.lens, sight.patch, some)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.brightness_fit import faces_of, listed, misfit
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -40,6 +41,9 @@ from rpod_target import Target
 
 OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
+MERGED_PX = 1.7
+"""Distance up to which two edges are one change of the image. Physics: two steps under a normal blur have one
+steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
 """Displacement below which an edge lies on itself. Physics: rays half a pixel apart show it no better."""
 DIRECTIONS = 4
@@ -96,6 +100,7 @@ class PatchRenderer:
 
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
         self._appearance, self._config = Appearance.of(target), config
+        self._faces = faces_of(target)
         self._room = np.empty((2, 0), np.float32)
 
     @property
@@ -130,6 +135,20 @@ class PatchRenderer:
         cv2.GaussianBlur(shade, (0, 0), self._config.blur_px, dst=shade)
         return Shown(pose, hits.range_m, per_px, shade, typical)
 
+    def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
+        """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
+
+        Args:
+            rays: as for ``render``.
+            per_px: as for ``render``.
+            pose: pose of the target.
+            patch: the image.
+        """
+        met = listed(self.cast(rays, pose).triangle, per_px)
+        light = light_of(self._appearance, pose)[:-1]
+        clip, blur_px = self._config.clip, self._config.blur_px
+        return misfit(patch, met, light, self._faces, clip=clip, blur_px=blur_px)
+
 
 class ExpectedEdges(NamedTuple):
     """Samples that the image may show; each array has the shape (N,)."""
@@ -144,6 +163,8 @@ class ExpectedEdges(NamedTuple):
     """Probability that the image shows the change."""
     change: FloatArray
     """Expected change of amplitude over two pixels."""
+    merged: NDArray[np.bool_]
+    """Whether the rendering shows another edge so near that the image may show that one alone."""
 
     def only(self, chosen: NDArray[np.bool_]) -> "ExpectedEdges":
         """Return the chosen samples; a mask of shape (N,)."""
@@ -153,6 +174,7 @@ class ExpectedEdges(NamedTuple):
             self.place[chosen],
             self.probability[chosen],
             self.change[chosen],
+            self.merged[chosen],
         )
 
 
@@ -167,11 +189,10 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         shown: the target rendered on the patch's pixels.
     """
     shade, (R, t) = shown.shade, shown.pose
-    rows, columns = shade.shape
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
-    sample, count = np.empty(most, np.int64), 0
-    place, probability, expected_change = np.empty(most), np.empty(most), np.empty(most)
-    taken = np.zeros((rows, columns, DIRECTIONS), np.bool_)
+    sample, merged, count = np.empty(most, np.int64), np.zeros(most, np.bool_), 0
+    place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
+    taken = np.zeros((shade.shape[0], shade.shape[1], DIRECTIONS), np.bool_)
     gain = patch.typical / shown.typical if most else 1.0
     faintest = LEAST_RATIO * patch.least / gain
     sensor = in_target(R, -t[0], -t[1], -t[2])
@@ -185,11 +206,10 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
             continue
         at = imaged(x / z, y / z, lens)
         u, v = at.column - patch.column, at.row - patch.row
-        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also true for NaN and beyond integers
+        if not (0.0 <= v < shade.shape[0] - 1 and 0.0 <= u < shade.shape[1] - 1):  # also for NaN
             continue
         i, j = int(v), int(u)
-        pixel_m = (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j)
-        if math.sqrt(x * x + y * y + z * z) > pixel_m:  # a pixel's width behind all four
+        if math.sqrt(x * x + y * y + z * z) > (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j):
             continue
         towards = in_sensor(R, edges.directions[n, 0], edges.directions[n, 1], edges.directions[n, 2])
         across, down = across_edge(at, towards, x / z, y / z)
@@ -204,10 +224,18 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         sample[count] = n
         place[count] = seen.place if own and abs(seen.place) > ALIASED_PX else 0.0
         probability[count] = 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
-        expected_change[count] = change
+        contrast[count] = change
+        merged[count] = (
+            not own and steepest(shade, Profile(u, v, across, down), MERGED_PX, faintest).change > 0.0
+        )
         count += 1
     return ExpectedEdges(
-        shown.pose, sample[:count], place[:count], probability[:count], expected_change[:count]
+        shown.pose,
+        sample[:count],
+        place[:count],
+        probability[:count],
+        contrast[:count],
+        merged[:count],
     )
 
 
@@ -259,18 +287,9 @@ def shaded(
         triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
         per_px: number of rays for each pixel, along rows and columns.
     """
+    light = light_of(appearance, pose) / np.float32(per_px * per_px)
     rows, columns = triangle.shape[0] // per_px, triangle.shape[1] // per_px
     shade = np.empty((rows, columns), np.float32)
-    light = np.zeros(len(appearance.albedo) + 1, np.float32)  # the last, index -1, is that of the sky
-    sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
-    for k in range(len(appearance.albedo)):
-        corners, normal = appearance.triangles_m[k], appearance.normals[k]
-        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
-        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
-        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
-        squares = x * x + y * y + z * z
-        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
-        light[k] = appearance.albedo[k] * cosine / (squares * per_px * per_px)
     for i in range(rows):
         for j in range(columns):
             total = np.float32(0.0)
@@ -279,3 +298,24 @@ def shaded(
                     total += light[triangle[v, u]]
             shade[i, j] = total
     return shade
+
+
+@kernel
+def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
+    """Return the brightness of each triangle at a pose, shape (T + 1,); the last, index -1, is the sky's.
+
+    Args:
+        appearance: T triangles.
+        pose: pose of the target.
+    """
+    light = np.zeros(len(appearance.albedo) + 1, np.float32)
+    sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
+    for k in range(len(appearance.albedo)):
+        corners, normal = appearance.triangles_m[k], appearance.normals[k]
+        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
+        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
+        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
+        squares = x * x + y * y + z * z
+        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
+        light[k] = appearance.albedo[k] * cosine / squares
+    return light

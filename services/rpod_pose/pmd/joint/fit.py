@@ -96,6 +96,8 @@ class EdgeErrors(NamedTuple):
     """Motion in the image by a motion across the sight, at the depth of what is seen."""
     independent: float = 1.0
     """Share of the samples whose errors count as independent: nearer ones in the image share their pixels."""
+    merged: bool = True
+    """Whether samples count that a rendering merges with others."""
 
 
 class JointProblem(NamedTuple):
@@ -186,6 +188,8 @@ def add_edge_points(
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
     near2, c2, shift = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
+        if expected_edges.merged[m] and not errors.merged:
+            continue
         n = expected_edges.sample[m]
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         px, py, pz = in_sensor(R, x, y, z)

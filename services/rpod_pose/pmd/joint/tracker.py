@@ -15,20 +15,19 @@ of the pose names it.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from math import radians
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers, cast_pose
+from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_pose.pmd.joint.alternatives import Aligned, likeliest
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
-from rpod_pose.pmd.joint.belief import frame_belief
+from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief
 from rpod_pose.pmd.joint.depth_points import Planes
-from rpod_pose.pmd.joint.edge_consistency import by_distances, edges_in_place
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -36,28 +35,22 @@ from rpod_pose.pmd.joint.fit import (
     DepthErrors,
     EdgeErrors,
     EdgeSight,
-    JointFit,
     JointProblem,
     Measured,
-    Shares,
     add_edge_points,
     agreement,
     align,
-    cell_information,
     joint_shares,
     near_the_pose,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.pmd.joint.uncertainty import Uncertainty, uncertainty
-from rpod_pose.pmd.joint.wiggling import wiggling
-from rpod_pose.pmd.reflections import reflected_m
-from rpod_pose.pmd.rendering import FineRanges, Rendering
+from rpod_pose.pmd.joint.pixel_check import PixelCheck
+from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
-from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_schemas.arrays import FloatArray
@@ -67,13 +60,27 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
 STILL_PX = 0.5
-"""Motion in the image up to which a rendering still shows which edges to expect. Hand: half a pixel."""
+"""Motion in the image up to which a rendering still shows which edges to expect. Physics: its rays are half a
+pixel apart."""
+SAME_PX = 0.25
+"""Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
+an edge, and rays half a pixel apart tell no more than a quarter."""
+CERTAIN_PX = 1.0
+"""Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
+the width of an edge, a pixel."""
 LAST_STEPS = 2
 """Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
 """Largest bias that is searched, in sigmas, and number of places on each side. Numerics: budgets."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach, for close targets. Numerics: a budget of computation."""
+
+
+class _Tried(NamedTuple):
+    """An alignment and its registration."""
+
+    aligned: Aligned
+    found: Registration
 
 
 class JointTracker:
@@ -120,9 +127,8 @@ class JointTracker:
         self._edge_errors = EdgeErrors(
             tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
         )
-        self._model_error = ModelError.of(target)
-        self._parts, self._edge_parts, self._lines = Parts.of(target), edges.parts, edges.lines
-        self._reflected_m = reflected_m(target)
+        self._model_error, self._lines = JointModelError(target, edges.parts), edges.lines
+        self._check = PixelCheck(target, tuning, self._ranges, self._renderer)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
         self._nothing = Registration.none(Source.PMD_JOINT, "nothing to see")
 
@@ -132,18 +138,44 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
-        found = []
+        tried: list[_Tried] = []
         sight = self._sight(seen, pose)
         for start, schedule in self._starts(seen, sight):
-            fit, last = self._aligned(seen, sight, start, schedule)
-            found.append(self._registered(seen, fit, last, len(schedule)))
-            moved = None if found[-1].begins_track else self._moved_along_sight(seen, fit.state.pose)
+            aligned = self._aligned(seen, sight, start, schedule)
+            tried.append(_Tried(aligned, self._registered(seen, aligned, len(schedule))))
+            moved = None
+            if not tried[-1].found.begins_track:
+                moved = self._moved_along_sight(seen, aligned.fit.state.pose)
             if moved is not None:
-                fit, last = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
-                found.append(self._registered(seen, fit, last, len(schedule) + len(self._near)))
-            if believed := [each for each in found if each.continues_track]:
-                return max(believed, key=lambda each: each.begins_track)
-        return max(found, key=lambda each: each.explained_share, default=self._nothing)
+                aligned = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
+                steps = len(schedule) + len(self._near)
+                tried.append(_Tried(aligned, self._registered(seen, aligned, steps)))
+            if believed := [each for each in tried if each.found.continues_track]:
+                best = max(believed, key=lambda each: each.found.begins_track)
+                return self._likeliest(seen, pose, best)
+        return max(
+            (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
+        )
+
+    def _likeliest(self, seen: JointFrame, predicted: PoseArrays, tried: "_Tried") -> Registration:
+        """Return the registration of the likeliest pose around one that is far from its prediction."""
+        aligned, found = tried
+        focal_px, radius_m = seen.lens.fx, self._target.radius_m
+        if moved_px(predicted, aligned.fit.state.pose, radius_m, focal_px) < CERTAIN_PX:
+            return found
+        schedule = np.maximum(self._near, (self._least_scale_m(seen), 0.0))
+        errors = self._edge_errors._replace(merged=aligned.last.edge_errors.merged)
+        best = likeliest(
+            aligned,
+            loss=lambda each: self._loss(seen, each),
+            aligned_from=lambda start: self._aligned_by(
+                seen, self._sight(seen, start.pose), start, schedule, errors
+            ),
+            px_m=seen.away_m / focal_px,
+            radius_m=radius_m,
+        )
+        again = self._registered(seen, best, found.iterations + len(schedule))
+        return again if again.continues_track >= found.continues_track else found
 
     def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
         """Yield starting poses with their schedules of steps, those with the fewest steps first."""
@@ -193,34 +225,57 @@ class JointTracker:
         expected = expect_edges(self._edges, seen.lens, seen.patch, shown)
         return EdgeSight(self._edges, seen.lens, seen.patch, expected)
 
-    def _aligned(
-        self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray
-    ) -> tuple[JointFit, JointProblem]:
-        """Return the pose after one step for each row of a schedule, and the problem of the last steps.
+    def _aligned(self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray) -> Aligned:
+        """Return the likelier one of the alignments with and without edges that merge with others.
 
-        The schedule has the shape (S, 2) as in ``JointProblem``. The first steps are made in the distance
-        field, the last ones to the planes of the faces that the pixels show.
+        The schedule has the shape (S, 2) as in ``JointProblem``, and each row is one step.
         """
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
+        found = self._aligned_by(seen, sight, state, schedule, self._edge_errors)
+        if not found.last.sight.expected.merged.any():
+            return found
+        apart = self._edge_errors._replace(merged=False)
+        other = self._aligned_by(seen, sight, state, schedule, apart)
+        poses = found.fit.state.pose, other.fit.state.pose
+        if moved_px(*poses, self._target.radius_m, seen.lens.fx) < SAME_PX:
+            return found
+        more = self._loss(seen, other) - self._loss(seen, found)
+        return found.beside(other, more) if more >= 0.0 else other.beside(found, -more)
+
+    def _loss(self, seen: JointFrame, aligned: Aligned) -> float:
+        """Return minus the log likelihood of an alignment, by its depth and the whole image."""
+        pose = aligned.fit.state.pose
+        return aligned.depth_loss + self._renderer.misfit(seen.rays, seen.per_px, pose, seen.patch)
+
+    def _aligned_by(
+        self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray, errors: EdgeErrors
+    ) -> Aligned:
+        """Return the pose after one step for each row of a schedule, and the problem of the last steps.
+
+        The first steps are made in the distance field, the last ones to the planes of the faces that the
+        pixels show.
+        """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
             sight = self._sight_at(seen, sight, state.pose)
-            state = align(self._problem(seen, sight, first), state).state
-        problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last)
+            state = align(self._problem(seen, sight, first, errors), state).state
+        problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last, errors)
         problem = near_the_pose(problem, self._planes(seen, state.pose))
-        return align(problem, state), problem
+        return Aligned(align(problem, state), problem)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
         depth = self._tuning.depth
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
-    def _problem(self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray) -> JointProblem:
+    def _problem(
+        self, seen: JointFrame, sight: EdgeSight, schedule: FloatArray, edges: EdgeErrors
+    ) -> JointProblem:
         errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
         px_per_m = seen.lens.fx / seen.away_m
         independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
-        edges = self._edge_errors._replace(px_per_m=px_per_m, independent=independent)
+        edges = edges._replace(px_per_m=px_per_m, independent=independent)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
 
     def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:
@@ -234,16 +289,17 @@ class JointTracker:
         moved = moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
         return sight if moved < STILL_PX else self._sight(seen, pose)
 
-    def _registered(self, seen: JointFrame, fit: JointFit, last: JointProblem, steps: int) -> Registration:
+    def _registered(self, seen: JointFrame, aligned: Aligned, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        ((R, t), bias), _, (depth, found, _, _) = fit
+        ((R, t), bias), _, (depth, found, _, _) = aligned.fit
         points, squares = depth.inliers, depth.squares_m2
         edges, checked, expected = found.inliers, found.checked, found.expected
         if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
             reason = f"nothing to see: {points} points on the target, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
-        inconsistent = self._contradictions(seen, R, t, bias)
+        pose, buffers = aligned.fit.state.pose, self._buffers_of(seen.view)
+        inconsistent = self._check.contradictions(seen, pose, bias, buffers)
         in_place = edges_in_place(tuning.acceptance, edges=found.found, expected=expected, checked=checked)
         range_m = float(np.linalg.norm(t))
         belief = frame_belief(
@@ -253,7 +309,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        covariance, parts = self._uncertainty(seen, fit, last)
+        covariance, parts = self._uncertainty(seen, aligned)
         both = (source := self._source(points, checked)) is Source.PMD_JOINT
         return Registration(
             source,
@@ -270,46 +326,22 @@ class JointTracker:
             by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
 
-    def _uncertainty(self, seen: JointFrame, fit: JointFit, last: JointProblem) -> Uncertainty:
+    def _uncertainty(self, seen: JointFrame, aligned: Aligned) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
+        fit, last = aligned.fit, aligned.last
         sight = self._sight_at(seen, last.sight, fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
-        matters = self._model_error.matters
-        whole = self._considered(seen, fit, problem, shares, alone) if matters else alone
         return uncertainty(
-            fit,
+            aligned,
             alone,
-            whole,
+            self._model_error.added(fit, problem, shares, alone),
             lines=line_sums(problem, fit.state, shares, self._lines),
             bias_m=self._depth_errors.bias_m,
             radius_px=self._radius_px(seen),
             wider=max(1.0, self._fills(seen)),
         )
-
-    def _considered(
-        self, seen: JointFrame, fit: JointFit, problem: JointProblem, shares: Shares, covariance: FloatArray
-    ) -> FloatArray:
-        """Return the covariance of (dtau, dtheta, bias), (7, 7), with the errors of the target's model."""
-        pose, sight = fit.state.pose, problem.sight
-        points_m = (seen.points_m - pose.t) @ pose.R
-        samples = sight.expected.sample
-        places_m = np.concatenate((points_m, sight.edges.places_m[samples]))
-        of_place = np.concatenate((self._parts.at(points_m), self._edge_parts[samples]))
-        cells = self._parts.cells(places_m, of_place)
-        parts, centres_m = [], []
-        for cell in range(int(cells.max(initial=-1)) + 1):
-            of_points, of_edges = np.split(cells == cell, [len(points_m)])
-            points = Points(np.ascontiguousarray(seen.points_m[of_points]), seen.trust[of_points])
-            expected = sight.expected.only(of_edges)
-            planes = problem.planes.only(of_points)
-            own = problem._replace(points=points, planes=planes, sight=sight._replace(expected=expected))
-            parts.append(cell_information(own, fit.state, shares))
-            centres_m.append(places_m[cells == cell].mean(axis=0))
-        if not parts:
-            return covariance
-        return self._model_error.considered(covariance, np.array(parts), np.array(centres_m))
 
     def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
         """Return the share of the checked pixels that agree with a predicted pose."""
@@ -328,56 +360,6 @@ class JointTracker:
         if found.checked < tuning.acceptance.min_edges:
             return None
         return found.found / max(found.expected, 1.0)
-
-    def _contradictions(
-        self, seen: JointFrame, R: FloatArray, t: FloatArray, bias_m: float
-    ) -> Contradictions:
-        """Return the pixels inconsistent with a pose.
-
-        Where too many are, the pose is rendered with more rays, and then the ranges are corrected by the
-        wiggling that explains them best.
-        """
-        view, buffers, limits = seen.view, self._buffers_of(seen.view), self._tuning.check
-        cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
-        images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
-        coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
-        check = partial(
-            contradictions,
-            radius_m=self._target.radius_m,
-            typical=seen.typical,
-            uneven_m=self._ranges.uneven_m,
-            bias_m=bias_m,
-            reflected_m=self._reflected_m,
-        )
-        found = check(images, coarse, limits)
-        if found.reason(limits) and seen.patch.typical:
-            check = partial(check, fine=self._fine_ranges(seen, PoseArrays(R, t)))
-            found = check(images, coarse, limits)
-        if found.reason(limits) and len(seen.frequencies_hz):
-            range_m = seen.range_m - self._wiggling(seen, buffers, bias_m)
-            found = check(images._replace(range_m=range_m), coarse, limits)
-        return found
-
-    def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
-        """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 where it is not known."""
-        range_m, owner = shown
-        both = np.isfinite(seen.range_m) & (owner >= 0)
-        measured_m = seen.range_m[both]
-        found_m = np.zeros(seen.range_m.shape)
-        found_m[both] = wiggling(
-            measured_m - bias_m - range_m[both],
-            measured_m,
-            seen.frequencies_hz,
-            sigma_m=self._ranges.bias_m,
-            scale_m=max(self._ranges.uneven_m, seen.noise_m),
-        )
-        return found_m
-
-    def _fine_ranges(self, seen: JointFrame, pose: PoseArrays) -> FineRanges:
-        """Return the ranges of the patch's rays at a pose."""
-        n, offset = seen.per_px, seen.view.offset
-        row, column = (n * (offset - int(first)) + n // 2 for first in (seen.patch.row, seen.patch.column))
-        return FineRanges(self._renderer.cast(seen.rays, pose).range_m, n, row, column)
 
     def _radius_px(self, seen: JointFrame) -> float:
         """Return the target's radius in the image, at the depth of what is seen, px."""

@@ -3,12 +3,17 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rpod_pose.pmd.joint.alternatives import Aligned
 from rpod_pose.pmd.joint.edge_lines import Lines, jackknife
-from rpod_pose.pmd.joint.fit import JointFit
+from rpod_pose.pmd.joint.fit import JointFit, JointProblem, Shares, cell_information
 from rpod_pose.ports import ErrorParts
+from rpod_pose.registration.field_alignment import Points
+from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of
 from rpod_schemas.arrays import FloatArray
+from rpod_target import Target
 
 MIXED_PX = 1.0
 """Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e.
@@ -23,8 +28,54 @@ class Uncertainty(NamedTuple):
     parts: ErrorParts
 
 
+class JointModelError:
+    """Errors of the target's model that its file declares, in an alignment of points and edges.
+
+    Args:
+        target: the target.
+        edge_parts: number of the part of each sample of its edges, shape (N,).
+    """
+
+    def __init__(self, target: Target, edge_parts: NDArray[np.intp]) -> None:
+        self._error, self._parts, self._edge_parts = ModelError.of(target), Parts.of(target), edge_parts
+
+    @property
+    def scale(self) -> float:
+        """Standard deviation of the target's size, as a share."""
+        return self._error.scale
+
+    def added(self, fit: JointFit, problem: JointProblem, shares: Shares, alone: FloatArray) -> FloatArray:
+        """Return the covariance of (dtau, dtheta, bias), (7, 7), with these errors.
+
+        Args:
+            fit: the aligned pose.
+            problem: points and edges at this pose.
+            shares: weights of points and edges.
+            alone: covariance without them, shape (7, 7).
+        """
+        if not self._error.matters:
+            return alone
+        pose, sight, measured = fit.state.pose, problem.sight, problem.points
+        points_m, samples = (measured.places_m - pose.t) @ pose.R, sight.expected.sample
+        places_m = np.concatenate((points_m, sight.edges.places_m[samples]))
+        of_place = np.concatenate((self._parts.at(points_m), self._edge_parts[samples]))
+        cells = self._parts.cells(places_m, of_place)
+        parts, centres_m = [], []
+        for cell in range(int(cells.max(initial=-1)) + 1):
+            of_points, of_edges = np.split(cells == cell, [len(points_m)])
+            points = Points(np.ascontiguousarray(measured.places_m[of_points]), measured.trust[of_points])
+            expected = sight.expected.only(of_edges)
+            planes = problem.planes.only(of_points)
+            own = problem._replace(points=points, planes=planes, sight=sight._replace(expected=expected))
+            parts.append(cell_information(own, fit.state, shares))
+            centres_m.append(places_m[cells == cell].mean(axis=0))
+        if not parts:
+            return alone
+        return self._error.considered(alone, np.array(parts), np.array(centres_m))
+
+
 def uncertainty(
-    fit: JointFit,
+    aligned: Aligned,
     alone: FloatArray,
     whole: FloatArray,
     *,
@@ -39,10 +90,10 @@ def uncertainty(
     covariance I^-1 J I^-1. The true bias of the ranges causes an error because of its prior, and J is the
     prior's. Errors of edges are the same along a line (``edge_lines``). Edges beside saturated pixels are
     shifted towards their darker sides by a length that they share. The model's errors are those that the
-    target's file declares.
+    target's file declares. Another alignment that is as likely is among the errors of the image.
 
     Args:
-        fit: the aligned pose.
+        aligned: the aligned pose.
         alone: I^-1, shape (7, 7).
         whole: the same with the errors of the target's model, shape (7, 7).
         lines: sums of the lines of edges.
@@ -52,21 +103,22 @@ def uncertainty(
             edges and its faces reach across the image then, and an image that is 1/n of the target wide shows
             1/n of their lines. What all residuals share averages out over so many fewer.
     """
+    fit, beside = aligned.fit, aligned.spread
     white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
     of_sensor[-1, -1] += bias_m**-2
     moved = alone @ gradient_of(fit.evidence.shift, UNKNOWNS)
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
 
-    def turned(covariance: FloatArray) -> FloatArray:
-        found: FloatArray = to_sensor @ (covariance[:6, :6] * wider) @ to_sensor.T
+    def turned(covariance: FloatArray, besides: FloatArray | float = 0.0) -> FloatArray:
+        found: FloatArray = to_sensor @ (covariance[:6, :6] * wider + besides) @ to_sensor.T
         return found
 
     return Uncertainty(
-        turned(whole),
+        turned(whole, beside),
         ErrorParts(
             white=turned(alone @ white @ alone),
             of_sensor=turned(alone @ of_sensor @ alone + np.outer(moved, moved)),
-            of_image=turned(jackknife(lines, alone, samples=alone @ of_image @ alone)),
+            of_image=turned(jackknife(lines, alone, samples=alone @ of_image @ alone), beside),
             image_turn_rad=MIXED_PX / radius_px,
             of_model=turned(whole - alone),
         ),

@@ -1,7 +1,7 @@
 import pytest
 from pydantic import ValidationError
 
-from rpod_pose.pmd.joint.edge_consistency import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.belief import edges_in_place, misplaced_edges, wrong_scale
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 
 LIMITS = JointAcceptanceConfig(

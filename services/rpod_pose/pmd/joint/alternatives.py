@@ -1,0 +1,124 @@
+"""Several alignments of one frame, of which the whole image tells the likeliest one.
+
+Where edges are so near one another that they merge, materials decide which one the image shows, and these are
+known only roughly. So a frame is aligned twice: with all edges, and without those that a rendering merges
+with others. Where the two poses differ, the likelier one is taken. The other one remains among its errors.
+
+An alignment from a prediction some pixels off may end where edges meet their neighbours. It is repeated from
+poses around its end, until no further start leads to a likelier pose.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri, expit, ndtri, softmax
+
+from rpod_pose.pmd.joint.brightness_fit import MOST_SIGMAS
+from rpod_pose.pmd.joint.depth_points import add_depth_points
+from rpod_pose.pmd.joint.fit import JointFit, JointProblem
+from rpod_pose.registration.gauss_newton import State
+from rpod_pose.registration.lie_group import step_between, stepped
+from rpod_pose.registration.normal_equations import no_sums
+from rpod_pose.search.even_samples import sobol
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import pose_of
+
+CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
+"""Difference of two log likelihoods from which one of them is preferred. Physics: a likelihood-ratio test at
+95 %."""
+PATIENCE, MOST_STARTS = 3, 12
+"""Number of starts without a likelier pose after which no further one is tried, and of all starts. Numerics:
+budgets of computation."""
+START_PX = 2.5
+"""Distance in the image of a start from the pose so far. Numerics: a start is then within the reach of the
+search for edges (3 px), and beyond the width of an edge."""
+SHIFT_SHARE = 0.3
+"""Standard deviation of a start's shift along each axis, over the motion by its turn. Numerics: most starts
+are then as far away as by their turn alone."""
+ALONE = np.zeros((6, 6))
+"""Spread of an alignment without another one beside it."""
+
+
+class Aligned(NamedTuple):
+    """A pose aligned with a frame."""
+
+    fit: JointFit
+    last: JointProblem
+    """Problem of the last steps."""
+    spread: FloatArray = ALONE
+    """Mean square distance of the other alignment, weighted by its likelihood, of (dtau, dtheta), target
+    axes, shape (6, 6)."""
+
+    def beside(self, other: "Aligned", more_loss: float) -> "Aligned":
+        """Return this alignment with another one among its errors.
+
+        Args:
+            other: the less likely alignment.
+            more_loss: by how much the log likelihood of the other is smaller, at least 0.
+        """
+        away = step_between(*(pose_of(*each.fit.state.pose) for each in (self, other)))
+        return self._replace(spread=expit(-more_loss) * np.outer(away, away))
+
+    @property
+    def depth_loss(self) -> float:
+        """Minus the log likelihood of the depth, up to a constant.
+
+        The points count as at most ``most_points`` independent ones, as in the alignment.
+        """
+        points, errors = self.last.points, self.last.depth_errors
+        whole = float(points.trust.sum())
+        if not whole:
+            return 0.0
+        variance = max(errors.noise_m**2, errors.spread_m2) + errors.uneven_m**2 + errors.slack_m**2
+        most = MOST_SIGMAS * float(np.sqrt(variance))
+        near = add_depth_points(no_sums(), points, self.last.planes, self.fit.state, self.last.field, most)
+        squares = near.squares_m2 + (whole - near.trusted) * most**2
+        return 0.5 * min(errors.most_points, whole) * squares / (whole * variance)
+
+
+def likeliest(
+    first: Aligned,
+    *,
+    loss: Callable[[Aligned], float],
+    aligned_from: Callable[[State], Aligned],
+    px_m: float,
+    radius_m: float,
+) -> Aligned:
+    """Return the likeliest of the alignments from poses around one, with the others among its errors.
+
+    The starts lie around the likeliest pose so far.
+
+    Args:
+        first: the alignment from the prediction.
+        loss: minus the log likelihood of an alignment.
+        aligned_from: the alignment from another start.
+        px_m: motion across the sight that moves the target by a pixel, m.
+        radius_m: radius of the target.
+    """
+    best, tried, losses, since = first, [first], [loss(first)], 0
+    least = losses[0]
+    for shift, turn in start_steps():
+        if since == PATIENCE:
+            break
+        step = START_PX * px_m * np.concatenate((shift, turn / radius_m))
+        (pose, bias_m), since = best.fit.state, since + 1
+        tried.append(aligned_from(State(stepped(pose, step), bias_m)))
+        losses.append(loss(tried[-1]))
+        if losses[-1] < least - CLEAR_LOG:
+            best, least, since = tried[-1], losses[-1], 0
+    T_best, spread = pose_of(*best.fit.state.pose), best.spread.copy()
+    for each, weight in zip(tried, softmax(-np.array(losses)), strict=True):
+        away = step_between(T_best, pose_of(*each.fit.state.pose))
+        spread += weight * np.outer(away, away)
+    return best._replace(spread=spread)
+
+
+@cache
+def start_steps() -> FloatArray:
+    """Return shifts and unit turns, target axes, shape (``MOST_STARTS``, 2, 3), always the same."""
+    even = ndtri(sobol(6, int(np.ceil(np.log2(MOST_STARTS)))))[:MOST_STARTS].reshape(-1, 2, 3)
+    even[:, 0] *= SHIFT_SHARE
+    even[:, 1] /= np.linalg.norm(even[:, 1], axis=1, keepdims=True)
+    return even

@@ -1,0 +1,134 @@
+"""Pixels of a frame that are inconsistent with a pose: coarse at first, then by finer means.
+
+The last of these is the wiggling of a camera that is not calibrated. The modulation is not exactly a sine.
+With four samples a period its harmonics make an error of the range that repeats with an eighth of the
+modulation's wavelength, c / (8 f) (M. Lindner et al., Computer Vision and Image Understanding 114, 2010). Its
+phase and amplitude differ from camera to camera. A small target is much shorter than the period: its near end
+may be measured centimetres off its far end.
+"""
+
+from functools import partial
+
+import numpy as np
+from scipy.constants import speed_of_light
+
+from rpod_geometry.rays import RenderBuffers, cast_pose
+from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer
+from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.reflections import reflected_m
+from rpod_pose.pmd.rendering import FineRanges, Rendering
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.joint import JointTuning, RangeErrorConfig
+from rpod_target import Target
+
+PERIODS = 8.0
+"""Periods of the error in one wavelength of the modulation, of which the way to the target and back is two
+ranges. Physics: four samples alias the third and the fifth harmonic to four periods in half a wavelength."""
+ROUNDS = 3
+"""Number of weighted fits, after each of which outliers count less. Numerics: a budget of computation."""
+
+
+class PixelCheck:
+    """Finds the pixels of a frame that are inconsistent with a pose.
+
+    Args:
+        target: the target.
+        tuning: limits.
+        ranges: errors of the camera's ranges.
+        renderer: renders the target with more rays.
+    """
+
+    def __init__(
+        self, target: Target, tuning: JointTuning, ranges: RangeErrorConfig, renderer: PatchRenderer
+    ) -> None:
+        self._radius_m, self._triangles_m = target.radius_m, np.ascontiguousarray(target.triangles_m)
+        self._limits, self._ranges, self._renderer = tuning.check, ranges, renderer
+        self._reflected_m = reflected_m(target)
+
+    def contradictions(
+        self, seen: JointFrame, pose: PoseArrays, bias_m: float, buffers: RenderBuffers
+    ) -> Contradictions:
+        """Return the pixels inconsistent with a pose.
+
+        Where too many are, the pose is rendered with more rays, and then the ranges are corrected by the
+        wiggling that explains them best.
+
+        Args:
+            seen: the frame.
+            pose: pose of the target.
+            bias_m: length by which all ranges are too long.
+            buffers: room for the coarse pixels.
+        """
+        view, limits, (R, t) = seen.view, self._limits, pose
+        cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
+        images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
+        coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._triangles_m, R, t)
+        check = partial(
+            contradictions,
+            radius_m=self._radius_m,
+            typical=seen.typical,
+            uneven_m=self._ranges.uneven_m,
+            bias_m=bias_m,
+            reflected_m=self._reflected_m,
+        )
+        found = check(images, coarse, limits)
+        if found.reason(limits) and seen.patch.typical:
+            check = partial(check, fine=self._fine_ranges(seen, pose))
+            found = check(images, coarse, limits)
+        if found.reason(limits) and len(seen.frequencies_hz):
+            range_m = seen.range_m - self._wiggling(seen, buffers, bias_m)
+            found = check(images._replace(range_m=range_m), coarse, limits)
+        return found
+
+    def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
+        """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 where it is not known."""
+        range_m, owner = shown
+        both = np.isfinite(seen.range_m) & (owner >= 0)
+        measured_m = seen.range_m[both]
+        found_m = np.zeros(seen.range_m.shape)
+        found_m[both] = wiggling(
+            measured_m - bias_m - range_m[both],
+            measured_m,
+            seen.frequencies_hz,
+            sigma_m=self._ranges.bias_m,
+            scale_m=max(self._ranges.uneven_m, seen.noise_m),
+        )
+        return found_m
+
+    def _fine_ranges(self, seen: JointFrame, pose: PoseArrays) -> FineRanges:
+        """Return the ranges of the patch's rays at a pose."""
+        n, offset = seen.per_px, seen.view.offset
+        row, column = (n * (offset - int(first)) + n // 2 for first in (seen.patch.row, seen.patch.column))
+        return FineRanges(self._renderer.cast(seen.rays, pose).range_m, n, row, column)
+
+
+def wiggling(
+    error_m: FloatArray, range_m: FloatArray, frequencies_hz: FloatArray, *, sigma_m: float, scale_m: float
+) -> FloatArray:
+    """Return the wiggling that explains errors of ranges best, beyond an error that all of them share, m.
+
+    The waves' amplitudes have a prior, so that wiggling explains no more error than a camera may have.
+
+    Args:
+        error_m: measured ranges less those expected, shape (N,), m.
+        range_m: measured ranges, shape (N,), m.
+        frequencies_hz: modulation frequencies, shape (F,), Hz; without any, the result is 0.
+        sigma_m: standard deviation of the camera's wiggling, m.
+        scale_m: Geman-McClure scale of an error that no wiggling explains, m.
+    """
+    if not len(error_m) or not len(frequencies_hz) or sigma_m == 0.0:
+        return np.zeros(len(error_m))
+    phase = 2.0 * np.pi * PERIODS / speed_of_light * np.outer(range_m, frequencies_hz)
+    waves = np.column_stack((np.ones(len(range_m)), np.sin(phase), np.cos(phase)))
+    prior = np.full(waves.shape[1], (scale_m / sigma_m) ** 2)
+    prior[0] = 0.0
+    weights, amplitudes = np.ones(len(error_m)), np.zeros(waves.shape[1])
+    for _ in range(ROUNDS):
+        weighted = waves * weights[:, None]
+        amplitudes = np.linalg.lstsq(weighted.T @ waves + np.diag(prior), weighted.T @ error_m, rcond=None)[0]
+        left_m = error_m - waves @ amplitudes
+        weights = (1.0 + (left_m / scale_m) ** 2) ** -2
+    explained: FloatArray = waves[:, 1:] @ amplitudes[1:]
+    return explained - np.median(explained)

@@ -1,0 +1,176 @@
+"""Of two alignments the whole image tells the likelier one, and the other one is among its errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+from tests.pmd_frames import CAMERA
+from tests.unit.pose.pmd.test_joint import FRAME, MOCKUP, TRACKER, TRUTH, assert_within, error, frame, off
+
+from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.joint.alternatives import (
+    MOST_STARTS,
+    PATIENCE,
+    START_PX,
+    Aligned,
+    likeliest,
+    start_steps,
+)
+from rpod_pose.pmd.joint.brightness_fit import faces_of
+from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.edge_search import Lens, Patch
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
+from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.registration.gauss_newton import State
+from rpod_pose.registration.lie_group import PoseArrays, step_between
+from rpod_schemas.config.pmd.joint import JointConfig
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import BeliefLevel
+from rpod_target import load_target
+
+TUNING = JointConfig().tuning
+RENDERER = PatchRenderer(MOCKUP, TUNING.edges)
+
+
+def prepared(shown) -> JointFrame:
+    seen = JointFrame.of(shown, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=TUNING)
+    assert isinstance(seen, JointFrame)
+    return seen
+
+
+def misfit(seen: JointFrame, T: RigidTransform, renderer: PatchRenderer = RENDERER) -> float:
+    return renderer.misfit(seen.rays, seen.per_px, PoseArrays.of(T), seen.patch)
+
+
+def aligned(T: RigidTransform) -> Aligned:
+    """Return an alignment with the frame's points that ends at a pose."""
+    seen = prepared(FRAME)
+    pose = PoseArrays.of(T)
+    found = TRACKER._aligned_by(
+        seen, TRACKER._sight(seen, pose), State(pose, 0.0), TRACKER._narrow, TRACKER._edge_errors
+    )
+    return found._replace(fit=found.fit._replace(state=State(pose, 0.0)))
+
+
+@pytest.mark.parametrize("thick_px", [0.8, 4.0])
+def test_edges_of_a_panel_are_merged_where_it_is_thinner_than_the_blur(thick_px: float) -> None:
+    body = load_target("hexagonal-body")
+    low, high = body.triangles_m.min(axis=(0, 1)), body.triangles_m.max(axis=(0, 1))
+    away_m = 4.0
+    thin = thick_px * away_m / CAMERA.fx / (high - low)[1]
+    panel = replace(body, triangles_m=body.triangles_m * (1.0, thin, 1.0))
+    edges = EdgeModel.of(panel, spacing_m=0.02).arrays
+    image = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+    renderer = PatchRenderer(panel, TUNING.edges)
+    pose = PoseArrays.of(make_pose(translation_m=(0.0, 0.0, away_m)))
+    shown = renderer.render(DepthView.of(CAMERA, 4).rays(2).arrays, 2, pose)
+    lens = Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
+    seen = expect_edges(edges, lens, Patch(image, 0.0, 0.0, 6.0, 0.5, 100.0), shown)
+    along = np.abs(edges.directions[seen.sample, 1]) < 0.5
+    assert along.any()
+    share = seen.merged[along].mean()
+    assert share > 0.2 if thick_px < 1.0 else share < 0.05, share
+
+
+def test_what_no_brightness_explains_is_greater_off_the_truth() -> None:
+    seen = prepared(FRAME)
+    at_truth = misfit(seen, TRUTH)
+    assert at_truth > 0.0
+    for seed in range(6):
+        assert misfit(seen, off(TRUTH, 1.0, 0.0, seed)) > at_truth
+        assert misfit(seen, off(TRUTH, 0.0, 0.02, seed)) > at_truth
+
+
+def test_the_brightness_of_faces_is_fitted() -> None:
+    seen = prepared(FRAME)
+    shuffled = replace(MOCKUP, triangle_material=np.roll(MOCKUP.triangle_material, 40))
+    renderer = PatchRenderer(shuffled, TUNING.edges)
+    renderer._faces = RENDERER._faces
+    as_known, exchanged = misfit(seen, TRUTH), misfit(seen, TRUTH, renderer)
+    assert exchanged < misfit(seen, off(TRUTH, 2.0, 0.0))
+    assert exchanged < 1.3 * as_known
+
+
+def test_triangles_of_one_plane_and_one_material_are_one_face() -> None:
+    box = load_target("hexagonal-body")
+    face = faces_of(box)
+    for number in range(face.max() + 1):
+        normals = box.normals[face == number]
+        np.testing.assert_allclose(normals @ normals[0], 1.0, atol=0.001)
+        assert len(set(box.triangle_material[face == number])) == 1
+
+
+def test_depth_off_the_surface_costs_likelihood() -> None:
+    at_truth, aside = aligned(TRUTH), aligned(off(TRUTH, 0.0, 0.05, 1))
+    assert 0.0 < at_truth.depth_loss < aside.depth_loss
+
+
+def test_an_alignment_as_likely_is_among_the_errors_of_another() -> None:
+    T = off(TRUTH, 1.0, 0.01)
+    one, other = aligned(TRUTH), aligned(T)
+    step = step_between(TRUTH, T)
+    np.testing.assert_allclose(one.beside(other, 0.0).spread, 0.5 * np.outer(step, step), atol=1e-12)
+    assert np.trace(one.beside(other, 20.0).spread) < 1e-6
+
+
+def test_the_covariance_contains_the_distance_to_the_other_alignment() -> None:
+    seen = prepared(frame())
+    one = aligned(TRUTH)
+    other = one.beside(aligned(off(TRUTH, 2.0, 0.0)), 0.0)
+    alone, beside = (TRACKER._uncertainty(seen, each) for each in (one, other))
+    more = beside.covariance - alone.covariance
+    assert np.degrees(np.sqrt(np.trace(more[3:, 3:]))) == pytest.approx(2.0 * np.sqrt(0.5), rel=1e-3)
+    np.testing.assert_allclose(beside.parts.of_image - alone.parts.of_image, more, atol=1e-12)
+
+
+def test_from_a_prediction_some_pixels_off_the_likeliest_of_several_alignments_is_taken() -> None:
+    errors = []
+    for seed in range(6):
+        found = TRACKER.track(FRAME, off(TRUTH, 3.0, 0.02, seed))
+        errors.append(error(found))
+        assert found.belief.level is BeliefLevel.ACCEPTED
+    assert_within(tuple(np.max(errors, axis=0)), 0.25, 0.005)
+
+
+def test_starts_lie_around_the_likeliest_pose_so_far_and_end_when_none_is_better() -> None:
+    first = aligned(TRUTH)
+    losses, started = iter((9.0, 9.0, 3.0, 9.0, 9.0, 9.0, 9.0)), []
+
+    def aligned_from(start: State) -> Aligned:
+        started.append(start.pose)
+        return first._replace(fit=first.fit._replace(state=start))
+
+    best = likeliest(
+        first, loss=lambda _: next(losses), aligned_from=aligned_from, px_m=0.005, radius_m=MOCKUP.radius_m
+    )
+    assert len(started) == 2 + PATIENCE
+    np.testing.assert_array_equal(best.fit.state.pose.R, started[1].R)
+    near, far = (
+        [moved_px(pose, each, MOCKUP.radius_m, 1.0 / 0.005) * pose.t[2] for each in started[some]]
+        for pose, some in ((first.fit.state.pose, slice(2)), (started[1], slice(2, None)))
+    )
+    assert max(near + far) < 3.0 * START_PX
+    assert min(near + far) > 0.5 * START_PX
+    assert np.trace(best.spread) > 0.0
+
+
+def test_an_unlikely_alignment_adds_nothing_to_the_errors() -> None:
+    first = aligned(TRUTH)
+    losses = iter([0.0] + [60.0] * PATIENCE)
+    best = likeliest(
+        first,
+        loss=lambda _: next(losses),
+        aligned_from=lambda start: first._replace(fit=first.fit._replace(state=start)),
+        px_m=0.005,
+        radius_m=MOCKUP.radius_m,
+    )
+    assert best.fit is first.fit
+    assert np.trace(best.spread) < 1e-20
+
+
+def test_starts_are_the_same_in_each_process() -> None:
+    steps = start_steps()
+    assert steps.shape == (MOST_STARTS, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(steps[:, 1], axis=1), 1.0)
+    assert np.abs(np.corrcoef(steps[:, 1].T)[np.triu_indices(3, 1)]).max() < 0.5
