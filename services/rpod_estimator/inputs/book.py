@@ -70,6 +70,8 @@ class SensorBook:
         """Number of its newest frames that are identical to the one before them."""
         self.defect = ""
         """Defect of its newest frame although it can be used; empty if there is none."""
+        self.clock = ""
+        """What its stamps and the arrival of its frames say against each other; empty if nothing."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -139,6 +141,8 @@ class SensorBook:
         text = latest.text
         if level == Health.ERROR and latest.kind == REJECTED:
             text += f"; 'rpod driver check {self.name}' looks for errors of the sensor"
+        if self.clock:
+            text += f"; and {self.clock}"
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self, now_s: float) -> InputState:
@@ -148,8 +152,10 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if self.defect:
-            return InputState(Health.WARN, f"{self.name}: {self.defect}")
+        if self.clock or self.defect:
+            return InputState(
+                Health.WARN, f"{self.name}: {'; '.join(filter(None, (self.clock, self.defect)))}"
+            )
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
