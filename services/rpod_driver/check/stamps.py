@@ -93,7 +93,7 @@ def _against_the_end(seen: Observations, line: str, text: str, figures: dict[str
     finding = watch.finding(clock_sigma_s=sigma_s, within_s=seen.options.source.arrives_within_s)
     if finding is None:
         return ok(line, f"{text}: transport and offset of the clock together", **figures)
-    if finding.fault == "clock_ahead":
+    if finding.fault != "clock_behind":
         return fail(line, finding.text, finding.fault, **figures)
     return note(line, finding.text, **figures)
 

@@ -24,15 +24,20 @@ AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
 DOUBTFUL_SHARE = 0.125
 """Share of the recent frames that support the pose too little, above which it is told: as that above which
 the navigator begins no track."""
-UNPAIRED, REJECTED = "unpaired", "rejected"
-"""Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
+UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
+"""Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
+came during a search that takes long, which is no error."""
+_CHECK = (
+    "'rpod driver check {}' looks for errors of the sensor, with --target and --search also for a mirrored "
+    "image, another unit or lens"
+)
 
 
 class Loss(NamedTuple):
     """Why a frame was not used."""
 
     kind: str
-    """A ``Reason``, ``UNPAIRED`` or ``REJECTED``."""
+    """A ``Reason``, ``UNPAIRED``, ``REJECTED`` or ``SEARCHING``."""
     text: str
     """Reason with its figures and the remedy."""
 
@@ -136,13 +141,10 @@ class SensorBook:
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
         latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
-        level = Health.ERROR if len(losses) == frames else Health.WARN
+        level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
-        text = latest.text
-        if level == Health.ERROR and latest.kind == REJECTED:
-            text += f"; 'rpod driver check {self.name}' looks for errors of the sensor"
-        if self.clock:
-            text += f"; and {self.clock}"
+        check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
+        text = "; ".join(filter(None, (latest.text, self.clock, self.defect, check)))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self, now_s: float) -> InputState:

@@ -23,6 +23,7 @@ from rpod_runtime.delivery.holders import Holders, SecondPublisherError
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensor_data.end_watch import EndWatch
+from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
@@ -34,6 +35,8 @@ log = logging.getLogger(__name__)
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
+_MOST_MOUNTS = 50
+"""Largest number of mounts that are written to the log."""
 _CLOCK_LAG_S = 0.2
 """Longest time that a clock message may arrive after a frame that was published later."""
 
@@ -50,6 +53,7 @@ class Subscriptions:
         self._refused: deque[Arrived] = deque()
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
+        self._mounts: set[str] = set()
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
@@ -216,6 +220,13 @@ class Subscriptions:
         if watch.is_settled and not was_settled:
             log.info("%s: frames arrive %s", sensor, watch.told)
 
+    def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
+        """Write a mount to the log in words that a person can check: one sensor alone never shows it."""
+        told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
+        if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
+            self._mounts.add(told)
+            log.info("%s", told)
+
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:
             if self._newest.put(sensor, frame):
@@ -251,8 +262,10 @@ class Subscriptions:
                 # A part that lasts is as new as the frames of its own session.
                 now_s = arrival_s if part.session == session else part.arrival_s
                 self._holders.hold(part.topic.name, part.peer, now_s)
-            if arrived.measurement is not None and not self._in_lockstep:
-                self._watch_end(sensor, frame, arrived.measurement)
+            if arrived.measurement is not None:
+                self._tell_mount(sensor, arrived.measurement)
+                if not self._in_lockstep:
+                    self._watch_end(sensor, frame, arrived.measurement)
         except SecondPublisherError as error:
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:

@@ -19,6 +19,9 @@ from rpod_schemas.types import LidarScan, SensorFrame
 
 _SECONDS = 5
 _LEAST_SECONDS = 3
+_LONG = 2.0
+"""Span of the times of a scan's points, over the scan's duration or period, from which on their unit is
+wrong: units differ by 1000, and a stated duration may be that of another mode."""
 _SIGMAS = 4.0
 """Error of a clock, in the standard deviations that are declared for it, beyond which it is not synchronised
 as declared."""
@@ -35,6 +38,12 @@ class Last(NamedTuple):
     """Latest time from the stamp at which the scan began, s; None if its points do not tell."""
     lasts_s: float = 0.0
     """Stated duration of exposure or scan, s; 0 if it is not stated."""
+
+    def is_longer_than_a_scan(self, period_s: float) -> bool:
+        """Return whether the points' times span clearly more than a scan can last: one of another unit."""
+        if self.begins_s is None:
+            return False
+        return self.after_s - self.begins_s > _LONG * min(self.lasts_s or period_s, period_s)
 
     def ends_s(self, period_s: float) -> float:
         """Return the latest end of exposure or scan after the stamp, s; none lasts longer than a period."""
@@ -145,12 +154,24 @@ class EndWatch:
         """
         if not self.is_settled:
             return None
+        if self._last.is_longer_than_a_scan(self._period_s):
+            return Finding("point_time_unit", self._unit())
         if median(each.after_s for each in self._least) < -_SIGMAS * clock_sigma_s:
             return Finding("clock_ahead", self._ahead(_SIGMAS * clock_sigma_s))
         long_s = min(each.long_s for each in self._least)
         if long_s > within_s + _SIGMAS * clock_sigma_s:
             return Finding("clock_behind", self._behind(long_s, within_s))
         return None
+
+    def _unit(self) -> str:
+        last = self._last
+        spans_s = last.after_s - (last.begins_s or 0.0)
+        stated = f", and the info states {last.lasts_s:.3f} s" if last.lasts_s else ""
+        return (
+            f"the times of a scan's points span {spans_s:.3g} s, scans come each {self._period_s:.3f} s"
+            f"{stated}: they are in another unit, or the info is of another mode; let the driver send "
+            "seconds from the stamp as float32 t, or nanoseconds as an integer"
+        )
 
     def _ahead(self, allowed_s: float) -> str:
         text = (

@@ -91,6 +91,15 @@ def test_a_target_that_fills_the_first_part_of_a_scan_is_no_suspicion():
     assert found(watched(-0.3, readout_s=0.45, last=last))[0] == "clock_behind"
 
 
+@pytest.mark.parametrize("lasts_s", [0.0, 0.1])
+def test_times_of_points_in_another_unit_are_named_not_taken_for_a_clock(lasts_s):
+    fault, text = found(watched(last=Last(50.0, "their last point", -50.0, lasts_s)))
+    assert fault == "point_time_unit"
+    assert "span 100 s, scans come each 1.000 s" in text
+    assert "send seconds from the stamp as float32 t" in text
+    assert ("states 0.100 s" in text) == bool(lasts_s)
+
+
 def test_a_loaded_machine_that_delays_some_frames_is_no_suspicion():
     assert found(watched(rate_hz=10.0, jitter_s=0.2)) is None
 
