@@ -299,16 +299,33 @@ def facility_frames(kind: str) -> tuple[Any, ...]:
     return sensor, tuple(frames)
 
 
-def facility(kind: str, *faults: str, seed: int = 0) -> list[CheckResult]:
+def later(frames: Any, late_s: float, *, timed: bool = False) -> list[Any]:
+    """Return frames with stamps that are late; ``timed``: the times of their points stay right."""
+    restamped = []
+    for frame in frames:
+        update = {"stamp_ns": frame.stamp_ns + round(late_s * SECOND_NS)}
+        if timed:
+            update["time_s"] = frame.time_s - np.float32(late_s)
+        restamped.append(frame.model_copy(update=update))
+    return restamped
+
+
+def facility(kind: str, *faults: str, seed: int = 0, late_s: float = 0.0) -> list[CheckResult]:
     """Return the results on an emulated sensor of the facility, beside truth and the target's surface."""
+    return judge(facility_seen(kind, *faults, seed=seed, late_s=late_s))
+
+
+def facility_seen(
+    kind: str, *faults: str, seed: int = 0, late_s: float = 0.0, timed: bool = False
+) -> Observations:
+    """Return what came of an emulated sensor of the facility, beside truth; ``late_s`` as of ``later``."""
     sensor, frames = facility_frames(kind)
     truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
-    seen = watched(
-        kind, frames, sensor.info(), latency_s=sensor.latency_s, truth=truth, faults=faults, seed=seed,
-        options=options, mount=MOUNT,
+    return watched(
+        kind, later(frames, late_s, timed=timed), sensor.info(), latency_s=sensor.latency_s - late_s,
+        truth=truth, faults=faults, seed=seed, options=options, mount=MOUNT,
     )  # fmt: skip
-    return judge(seen)
 
 
 @cache
@@ -327,7 +344,7 @@ def ideal_frames() -> tuple[PmdFrame, ...]:
     return tuple(frames)
 
 
-def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[CheckResult]:
+def ideal_camera(*faults: str, seed: int = 0, estimates: Any = (), late_s: float = 0.0) -> list[CheckResult]:
     """Return the results on the ideal camera, beside truth or estimates; its exposure lasts 16 ms."""
     truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     against = "estimate" if estimates else None
@@ -336,9 +353,9 @@ def ideal_camera(*faults: str, seed: int = 0, estimates: Any = ()) -> list[Check
     return judge(
         watched(
             "pmd",
-            ideal_frames(),
+            later(ideal_frames(), late_s),
             info,
-            latency_s=0.01,
+            latency_s=0.01 - late_s,
             truth=() if estimates else truth,
             estimates=estimates,
             faults=faults,

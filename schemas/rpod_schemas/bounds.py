@@ -86,8 +86,10 @@ DIRECTIONS = Bound(0, 65_536, "", "rows or columns of a scan", "check the driver
 SCAN_DIRECTIONS = Bound(
     0, 2**22, "", "60 deg x 60 deg every 0.03 deg, seconds of a million pulses each", "send fewer directions"
 )
-AZIMUTH_RAD = Bound(-2.0 * np.pi, 2.0 * np.pi, "rad", "one turn either way")
-ELEVATION_RAD = Bound(-np.pi / 2.0, np.pi / 2.0, "rad", "from straight up to straight down")
+AZIMUTH_RAD = Bound(-2.0 * np.pi, 2.0 * np.pi, "rad", "one turn either way", "are they degrees?")
+ELEVATION_RAD = Bound(
+    -np.pi / 2.0, np.pi / 2.0, "rad", "from straight up to straight down", "are they degrees?"
+)
 ANGLE_STEP_RAD = Bound(1e-6, 2.0 * np.pi, "rad", "no beam is narrower", "list each direction once")
 SCAN_TIME_S = Bound(0, 600, "s", "a target moves too much in a longer scan")
 RETURN_TIME_S = Bound(-600, 600, "s", "a return belongs to its scan", "send seconds from the stamp")

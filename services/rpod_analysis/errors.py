@@ -92,4 +92,23 @@ class FramesDifferError(AnalysisError):
 
 
 class CalibrationError(AnalysisError):
-    """The distance errors of a camera cannot be determined from the logs."""
+    """What is to be calibrated cannot be determined from the logs."""
+
+
+class NoFramesError(CalibrationError):
+    """A log has no frame of any sensor."""
+
+    def __init__(self, log: str) -> None:
+        super().__init__(
+            f"{log}: no frame of any sensor in the log; run the sensor's driver beside the logger"
+        )
+
+
+class NoTruthError(CalibrationError):
+    """A log has no truth."""
+
+    def __init__(self, log: str, topic: str) -> None:
+        super().__init__(
+            f"{log}: no truth in the log ({topic}); let the robots or a motion capture system publish it "
+            "beside the logger"
+        )

@@ -9,6 +9,8 @@ from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
+import numpy as np
+
 from rpod_estimator.frame_hint import described
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
@@ -47,6 +49,10 @@ OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
 """Opens the port that makes searches, with methods and setups of the sensors, by name."""
 TICK_S = 0.1
 """Time between two ticks while no frame arrives."""
+SLOW_SEARCH_S = 4.0
+"""Time after which a search is told of, with what its sensor measures: a first pose in a frame that shows the
+target takes less, but among other things."""
+SLOW_SEARCH = "its search for a first pose takes long"
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
 
@@ -62,6 +68,8 @@ class Estimator:
     def __init__(self, config: EstimatorConfig, target: Target, searches: OpenSearches | None = None) -> None:
         self._config, self._target = config, target
         self._sensors = {sensor.name: sensor for sensor in config.sensors}
+        self._side_m = float(np.sort(np.ptp(target.triangles_m.reshape(-1, 3), axis=0))[1])
+        """Second longest side of the target, by its axes."""
         self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
         self._known: dict[str, KnownParts] = {}
@@ -211,9 +219,17 @@ class Estimator:
     def _with_hint(self, output: Output, measurement: Measurement) -> Output:
         """Return the result of a frame in which no pose was found, with what the frame measures."""
         if not output.why:
-            return output
-        hint = described(measurement.data, radius_m=self._target.radius_m)
+            return self._while_searching(output, measurement)
+        hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
         return output.explained(f"{output.why} ({hint})") if hint else output
+
+    def _while_searching(self, output: Output, measurement: Measurement) -> Output:
+        """Return the result of a frame that waits for a search, which tells why if the search takes long."""
+        search = self._state.searches.get(measurement.sensor)
+        if search is None or measurement.stamp_ns - search.event.stamp_ns < SLOW_SEARCH_S * NANOSECONDS:
+            return output
+        hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
+        return output.explained(f"{SLOW_SEARCH} ({hint})" if hint else SLOW_SEARCH)
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result; call it once for each.

@@ -1,7 +1,8 @@
 """Describes what a frame measures, for the reason why no pose was found in it.
 
 A first sensor often has another unit of length than the estimator is told, or looks past the target. No
-method can tell: it finds too few pixels of the target, or none of its size. The distances themselves show it.
+method can tell: it finds too few pixels of the target, or none of its size. The distances themselves show it,
+and the width of all that is measured.
 """
 
 from typing import Any
@@ -17,35 +18,65 @@ the square of its length, and 40 pixels with depth are needed."""
 _BESIDE = 0.1
 """Distance, over the target's radius, from which on a sensor may stand before the target: closer, all that it
 measures lies inside the target's sphere, at a tenth of its radius."""
+_AHEAD = 0.6
+"""Mean of the points' directions along an axis from which on they lie ahead of it: within 50 deg."""
 _PERCENT = (5.0, 95.0)
+_WIDE = 1.25
+"""Width of all that is measured, over the target's diameter, from which on more than the target is in view,
+or its unit is another one: no body is wider than its diameter, and a lens may be off by a little."""
+_SLIM = 0.4
+"""Width of all that is measured, over the target's second longest side, below which the target is seen in
+part or in a unit that is too long: from any direction a whole body shows about that side."""
 
 
-def described(data: SensorFrame, *, radius_m: float) -> str:
+def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str:
     """Return what a frame measures, and what may be wrong with it; empty for a frame without a range.
 
     Args:
         data: the frame.
         radius_m: radius of the target about its origin.
+        side_m: second longest side of the target.
     """
-    range_m = _ranges_m(data)
-    if not len(range_m):
+    points_m = _points_m(data)
+    if not len(points_m):
         return ""
+    range_m = points_m[:, 2] if data.lens is not None else np.linalg.norm(points_m, axis=1)
     near_m, far_m = (float(value) for value in np.percentile(range_m, _PERCENT))
-    hint = _hint(data.lens, near_m, far_m, radius_m)
-    return f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m{hint}"
+    wide_m = float(np.ptp(np.percentile(points_m, _PERCENT, axis=0), axis=0).max())
+    told = f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m"
+    hint = (
+        _axes_hint(data.lens, points_m)
+        or _hint(data.lens, near_m, far_m, radius_m)
+        or _size_hint(data.lens, wide_m, radius_m, side_m)
+    )
+    return f"{told}{hint}"
 
 
-def _ranges_m(data: SensorFrame) -> NDArray[Any]:
+def _points_m(data: SensorFrame) -> NDArray[Any]:
+    """Return points in a sensor's axes, shape (N, 3); distortion of a lens does not count here."""
     if data.lens is None:
-        range_m: NDArray[Any] = np.linalg.norm(data.returns_m, axis=1)
-        return range_m
-    values = data.images[0].values
-    measured_m: NDArray[Any] = values[np.isfinite(values) & (values > 0.0)]
-    return measured_m
+        returns: NDArray[Any] = data.returns_m
+        return returns
+    values, lens = data.images[0].values, data.lens
+    rows, columns = np.nonzero(np.isfinite(values) & (values > 0.0))
+    depth_m = values[rows, columns]
+    across = ((columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy)
+    points: NDArray[Any] = np.stack([*(each * depth_m for each in across), depth_m], axis=1)
+    return points
+
+
+def _axes_hint(lens: Camera | None, points_m: NDArray[Any]) -> str:
+    """Return whether the points of a LIDAR lie ahead of x, not of z."""
+    if lens is not None:
+        return ""
+    x, _, z = (points_m / np.linalg.norm(points_m, axis=1, keepdims=True)).mean(axis=0)
+    if x < _AHEAD or abs(z) > 1.0 - _AHEAD:
+        return ""
+    return " ahead along its x axis, not along z: set source.axes of the sensor to forward"
 
 
 def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> str:
-    unit = "source.depth_unit_m of the sensor" if lens is not None else "the unit of its points"
+    unit = _field(lens)
     if far_m < _BESIDE * radius_m:
         return f", inside the target, whose radius is {radius_m:.3g} m: check {unit}"
     if lens is None:
@@ -57,6 +88,22 @@ def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> 
         f", where the target is at most {wide_px:.1f} pixels wide: if the target is nearer, the depth is in "
         f"another unit: set {unit} (0.001 for millimetres)"
     )
+
+
+def _size_hint(lens: Camera | None, wide_m: float, radius_m: float, side_m: float) -> str:
+    """Return what the width of all that is measured says of the unit of length and of the lens."""
+    lens_too = "" if lens is None else ", or the focal length of camera_info is that of another mode"
+    remedy = f"distances are in another unit: check {_field(lens)}{lens_too}"
+    told = f", {wide_m:{_form(wide_m)}} m wide, while the target is"
+    if wide_m > _WIDE * 2.0 * radius_m:
+        return f"{told} {2.0 * radius_m:.3g} m wide at most: if nothing else is in view, {remedy}"
+    if wide_m < _SLIM * side_m:
+        return f"{told} {side_m:.3g} m wide or more: if all of it is in view, {remedy}"
+    return ""
+
+
+def _field(lens: Camera | None) -> str:
+    return "source.depth_unit_m of the sensor" if lens is not None else "the unit of its points"
 
 
 def _form(length_m: float) -> str:

@@ -18,6 +18,7 @@ from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.delivery.holders import Announcements, Peer
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
+from rpod_runtime.sensor_data.end_watch import Last, last_of
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
@@ -26,7 +27,7 @@ from rpod_schemas.messages import read_transforms
 from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
-from rpod_schemas.types import Camera, SensorFrame
+from rpod_schemas.types import Camera, SensorFrame, SensorInfo
 
 FROZEN_REPEATS = 2
 """Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
@@ -196,11 +197,18 @@ class FrameReader:
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
-            defect = _defect(measurement.data)
+            doubt = getattr(self._readers[sensor], "doubt", "")  # a kind of another package may have none
+            defect = "; ".join(filter(None, (_defect(measurement.data), doubt)))
             return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats, defect=defect)
         told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
         reason = f"{Reason.FROZEN}: {told}"
         return Arrived(sensor, frame.stamp_ns, arrival_s, None, reason, Reason.FROZEN, repeats)
+
+    def last(self, sensor: str, data: SensorFrame) -> Last:
+        """Return the last measurement of a frame, by its points, else by the stated duration."""
+        said = self._readers[sensor].said
+        stated_s = said.duration_s if isinstance(said, SensorInfo) else 0.0
+        return last_of(data, stated_s or self._sources[sensor].duration_s)
 
     def repeats(self, sensor: str, frame: Assembled[Received]) -> int:
         """Return how many frames in a row have had the same content: noise never repeats to the bit."""

@@ -186,7 +186,13 @@ class LidarReader:
         self._front: LidarInfo | None = None
         self._seen_rows = True
         self._shown = 0
-        self._told: set[str] = set()
+        self._doubts: dict[str, str] = {}
+        self._logged: set[str] = set()
+
+    @property
+    def doubt(self) -> str:
+        """What info and points of the LIDAR say against each other; empty if nothing."""
+        return "; ".join(self._doubts.values())
 
     @property
     def said(self) -> LidarInfo | None:
@@ -201,6 +207,7 @@ class LidarReader:
         info = read_lidar_info(message)
         if info.azimuth_rad.size and info.elevation_rad.size:
             self._info = info
+            self._doubts.clear()
 
     def read(self, frame: Assembled[Received]) -> LidarScan:
         """Return a scan."""
@@ -217,9 +224,10 @@ class LidarReader:
         fields = read_points(message)
         item = time_field(message)
         if item is not None and "t" not in fields:
-            self._log_once(
+            self._doubt(
+                "times",
                 f"point field {item.name!r} is neither time from the stamp nor absolute time: ignored, "
-                "so that a scan counts as measured at once"
+                "so that a scan counts as measured at once; send seconds from the stamp as float32 t",
             )
         x_m, y_m, z_m = fields["x"], fields["y"], fields["z"]
         axes = (-y_m, -z_m, x_m) if self._source.axes == "forward" else (x_m, y_m, z_m)
@@ -232,6 +240,7 @@ class LidarReader:
             points_m = points_m.transpose(1, 0, 2)
             intensity, time_s = (None if each is None else each.T for each in (intensity, time_s))
         if points_m.ndim == 3:
+            self._compare_size(points_m.shape[:2])
             points_m, (intensity, time_s) = self._in_order(points_m, (intensity, time_s))
         return build(
             LidarScan,
@@ -251,11 +260,25 @@ class LidarReader:
             in_order = self._inferred.in_order
             return in_order(points_m), tuple(None if each is None else in_order(each) for each in others)
         if aside_rad := self._inferred.aside_rad:
-            self._log_once(
+            self._doubt(
+                "rows",
                 f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of the info, so that "
-                "misses count for the wrong rays; let the driver destagger its rows, or publish no info"
+                "misses count for the wrong rays; let the driver destagger its rows and give points in "
+                "the sensor's own axes, or publish no info",
             )
         return points_m, others
+
+    def _compare_size(self, found: tuple[int, ...]) -> None:
+        """Compare rows and columns of a scan with those of the published info."""
+        if self._info is None:
+            return
+        said = self._info.elevation_rad.size, self._info.azimuth_rad.size
+        if found != said:
+            self._doubt(
+                "size",
+                f"scans have {found[0]} x {found[1]} points, elevations by azimuths, the info states "
+                f"{said[0]} x {said[1]}; let the driver publish the info of its scan mode",
+            )
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
         """Return the orientation that the points show, else that of the info or of scans before."""
@@ -266,15 +289,20 @@ class LidarReader:
         if seen is None:
             return self._seen_rows if said is None else said
         if said not in (None, seen):
-            self._log_once(f"info says rows_are_elevation: {said}, but the points show {seen}, which is used")
+            self._doubt(
+                "turned",
+                f"info says rows_are_elevation: {said}, but the points show {seen}, which is used; are "
+                "azimuth and elevation, or the axes of the points, exchanged?",
+            )
         self._shown = self._shown + 1 if seen == self._seen_rows else 1
         self._seen_rows = seen
         return seen
 
-    def _log_once(self, text: str) -> None:
-        """Log a text once."""
-        if text not in self._told:
-            self._told.add(text)
+    def _doubt(self, about: str, text: str) -> None:
+        """Keep what info and points say against each other until another info comes, and log it once."""
+        self._doubts.setdefault(about, text)
+        if about not in self._logged:
+            self._logged.add(about)
             log.warning("%s", text)
 
 

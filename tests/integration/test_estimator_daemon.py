@@ -45,8 +45,8 @@ class Sensor:
         self._exposed = 0
         self._frame = frame_of(exposure.depth_m.copy(), amplitude=exposure.amplitude.copy(), camera=CAMERA)
 
-    def expose(self) -> int:
-        stamp_ns = time.time_ns()
+    def expose(self, *, late_s: float = 0.0) -> int:
+        stamp_ns = time.time_ns() + round(late_s * 1e9)
         self._exposed += 1
         depth_m = self._frame.depth_m * np.float32(1.0 + 1e-6 * self._exposed)  # noise never repeats
         self._publisher.publish(self._frame.model_copy(update={"stamp_ns": stamp_ns, "depth_m": depth_m}))
@@ -146,6 +146,37 @@ def told_by_estimator(listener, fits):
         )
 
     return first(listener.health, pick)
+
+
+def exposed_until_told(camera, listener, words, *, stamp_late_s=0.0):
+    """Expose frames in the time that they take, with late stamps, until the diagnostics have these words."""
+    deadline_s, pause = monotonic() + TIMEOUT_S, Event()
+    while monotonic() < deadline_s:
+        camera.expose(late_s=stamp_late_s)
+        pause.wait(0.1)
+        for received in listener.health.wait(0.0):
+            for item in read_diagnostics(received.decode()):
+                if item.name == "estimator" and words in item.message:
+                    return item
+    raise AssertionError(f"never told: {words}")
+
+
+def test_depth_in_centimetres_is_told_as_another_unit_with_the_field_to_set(bus):
+    listener, camera = Listener(bus), Sensor(bus)
+    camera._frame = camera._frame.model_copy(update={"depth_m": camera._frame.depth_m * np.float32(100.0)})
+    with daemon(run, config(bus)):
+        told = exposed_until_told(camera, listener, "the depth is in another unit")
+    assert told.level == Health.ERROR
+    assert "set source.depth_unit_m of the sensor" in told.message
+
+
+def test_stamps_that_are_late_within_the_limit_are_told_although_the_frames_are_used(bus):
+    listener, camera = Listener(bus), Sensor(bus)
+    with daemon(run, config(bus, initial_pose=T_CHASER_TARGET)):
+        told = exposed_until_told(camera, listener, "frames arrive before their stamp", stamp_late_s=0.045)
+    assert told.level == Health.WARN
+    assert float(told.values["arrives_after_s/pmd"]) < -0.008
+    assert int(told.values["inputs/pmd/used"]) > 0
 
 
 def poses(listener):

@@ -12,6 +12,7 @@ from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.background import learned_backgrounds
 from rpod_pose.surroundings.known import KnownSurroundingsError
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_schemas.topics import TRUTH
 
 
 def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
@@ -30,6 +31,12 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
                 known_share = float((background.range_m > 0.0).mean())
                 found[name] = {"frames": background.frames, "known_share": known_share}
             print_unreadable("rpod calibrate background", log)
+            if next(iter(log.odometry(TRUTH)), None) is not None:
+                print(
+                    f"rpod calibrate background: {logs[0].name}: the log has truth; if the target is in "
+                    "view, it counts as background where it stands still: log without it",
+                    file=sys.stderr,
+                )
         out.write_text(yaml.safe_dump({"sensors": sensors}), "utf-8")
     except (AnalysisError, KnownSurroundingsError, OSError) as error:
         print(f"rpod calibrate background: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""``rpod calibrate`` from its arguments to its exit code."""
+"""``rpod calibrate depth`` from its arguments to its exit code."""
 
 import json
 import sys
@@ -36,12 +36,12 @@ def calibrate_command(
         written = (out or Path(f"{camera}-calibration.yaml")) if given is None else out
         if written:
             calibration.write(written)
-        print_unreadable("rpod calibrate", *opened)
+        print_unreadable("rpod calibrate depth", *opened)
     except ConfigurationError as error:
-        print(f"rpod calibrate: {error}", file=sys.stderr)
+        print(f"rpod calibrate depth: {error}", file=sys.stderr)
         return EXIT_USAGE
     except (AnalysisError, OSError) as error:
-        print(f"rpod calibrate: {error}", file=sys.stderr)
+        print(f"rpod calibrate depth: {error}", file=sys.stderr)
         return EXIT_FAILURE
     if as_json:
         ranges = [asdict(part) | {"bias_sigma_m": part.bias_sigma_m} for part in bins]

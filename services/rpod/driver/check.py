@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
-from rpod_driver.check import CheckResult, Level, Observer, Options, judge
+from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
 from rpod_runtime import BusError, Node
@@ -46,16 +46,18 @@ class CheckOptions:
     target: str | None
     against: str | None = None
     wait: bool = False
+    search: bool = False
 
 
 def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) -> int:
     """Watch a sensor, print a result a line, and return 0 if none of them fails, 1 if one does."""
     try:
         driver, bus = _driver(options)
+        target = _target(options)
         known = Options(
             rate_hz=options.rate_hz,
             source=_source(options.source),
-            surface=_surface(options.target) if options.target else None,
+            surface=Surface.of(target) if target else None,
             against=_prefix(options),
         )
     except ConfigurationError as error:
@@ -77,6 +79,10 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
         print("rpod driver check: interrupted", file=sys.stderr)
         return EXIT_FAILURE
     results = judge(seen)
+    if options.search and target:
+        if not as_json:
+            print("searching the target in some frames; this takes up to minutes", file=sys.stderr)
+        results.append(_searched(seen, target))
     wrong = [each for each in results if each.level is Level.FAIL]
     if as_json:
         print(json.dumps(_document(driver, duration_s, results), indent=2))
@@ -100,13 +106,24 @@ def _source(path: Path | None) -> SourceConfig:
     return SourceConfig() if path is None else check(SourceConfig, read_document(path), source=path)
 
 
-def _surface(name: str) -> Surface:
+def _target(options: CheckOptions) -> Any:
+    """Return the target of ``--target``, None without it."""
     from rpod_target import TargetError, load_target  # noqa: PLC0415 - needs the extra [target]
 
+    if options.target is None:
+        if options.search:
+            raise ConfigurationError("rpod driver check", "--search", "needs --target, the target to search")
+        return None
     try:
-        return Surface.of(load_target(name))
+        return load_target(options.target)
     except TargetError as error:
         raise ConfigurationError("rpod driver check", "--target", str(error)) from error
+
+
+def _searched(seen: Observations, target: Any) -> CheckResult:
+    from rpod_driver.searched import searched  # noqa: PLC0415 - loads the methods of pose estimation
+
+    return searched(seen, target)
 
 
 def _prefix(options: CheckOptions) -> str | None:

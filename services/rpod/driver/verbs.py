@@ -12,6 +12,22 @@ driver_verbs = typer.Typer(
     rich_markup_mode=None,
 )
 
+AgainstOption = Annotated[
+    str | None,
+    typer.Option(
+        "--against",
+        help="Prefix of the estimate of another sensor alone, to compare the mounts of both.",
+    ),
+]
+SearchOption = Annotated[
+    bool,
+    typer.Option(
+        "--search",
+        help="Search the target in some frames, also mirrored, in other units and with other lenses: "
+        "needs --target, and up to some minutes.",
+    ),
+]
+
 
 @driver_verbs.command("list")
 def list_drivers(
@@ -57,13 +73,8 @@ def check(
             "--target", help="Target in view, to compare with truth: instant, range, mount, mirror."
         ),
     ] = None,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            "--against",
-            help="Prefix of the estimate of another sensor alone, to compare the mounts of both.",
-        ),
-    ] = None,
+    against: AgainstOption = None,
+    search: SearchOption = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
@@ -80,6 +91,7 @@ def check(
         target=target,
         against=against,
         wait=wait,
+        search=search,
     )
     raise typer.Exit(check_command(options, duration_s=duration, as_json=as_json))
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import RigidTransform
 
-from rpod_analysis.errors import CalibrationError
+from rpod_analysis.calibration.cameras import pmd_camera
+from rpod_analysis.errors import CalibrationError, NoTruthError
 from rpod_analysis.log import Log
-from rpod_analysis.log.sensors import configured_sensors, find_sensors, pmd_frames, pmd_info
+from rpod_analysis.log.sensors import configured_sensors, pmd_frames, pmd_info
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.scoring.score import BoolArray, Track, interpolate
 from rpod_geometry.errors import DistortionError
@@ -38,6 +39,7 @@ _LEAST_AMPLITUDE = 0.3
 """Least amplitude, as a share of the median amplitude of the target's pixels."""
 _MOST_SATURATION = 0.9
 """Greatest amplitude, as a share of the saturated amplitude."""
+_OF_LIDAR = "a LIDAR's range error is told by 'rpod driver check' with --target beside truth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +87,15 @@ def collect(logs: list[Log], camera: str) -> DepthSamples:
 
 def _of_log(log: Log, camera: str) -> DepthSamples:
     name = log.paths[0].name
-    sensors = find_sensors(log)
-    sensor = sensors.get(camera)
-    if sensor is None or sensor.kind != "pmd":
-        cameras = sorted(other for other, found in sensors.items() if found.kind == "pmd")
-        held = ", ".join(f"{other} ({found.kind})" for other, found in sorted(sensors.items())) or "none"
-        remedy = f"give --camera {cameras[0]}" if cameras else "only PMD cameras are calibrated so"
-        raise CalibrationError(
-            f"{name}: no frames of a PMD camera called {camera!r}; its sensors are {held}: {remedy}"
-        )
+    sensor, truth = pmd_camera(log, camera, option="--camera", otherwise=_OF_LIDAR), _truth(log)
     if sensor.T_chaser_sensor is None:
         raise CalibrationError(
-            f"{name}: neither tf_static nor the configuration in the log gives the mount of {camera!r}"
+            f"{name}: neither tf_static nor the configuration in the log gives the mount of {camera!r}; let "
+            "its driver publish tf_static"
         )
     frequencies_hz = _frequencies(log, camera)
     target = _target(log)
-    reference = _Reference(target, sensor.T_chaser_sensor, _truth(log), frequencies_hz)
+    reference = _Reference(target, sensor.T_chaser_sensor, truth, frequencies_hz)
     try:
         pixels = [
             (number, *found)
@@ -133,7 +128,8 @@ def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
         if value := entry.get(field):
             return tuple(np.atleast_1d(value).tolist())
     raise CalibrationError(
-        f"{log.paths[0].name}: neither {camera}/info nor the configuration gives modulation_frequency_hz"
+        f"{log.paths[0].name}: neither {camera}/info nor the configuration gives modulation_frequency_hz; "
+        "let the camera's driver publish its info"
     )
 
 
@@ -145,7 +141,10 @@ def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
 def _target(log: Log) -> Target:
     name = logged_targets(log).shown
     if name is None:
-        raise CalibrationError(f"{log.paths[0].name}: no configuration in the log names the target")
+        raise CalibrationError(
+            f"{log.paths[0].name}: no configuration in the log names the target; run the estimator, with its "
+            "target, beside the logger"
+        )
     try:
         return load_target(name)
     except TargetError as error:
@@ -155,7 +154,7 @@ def _target(log: Log) -> Target:
 def _truth(log: Log) -> Track:
     odometry = sorted(log.odometry(TRUTH), key=lambda entry: entry.stamp_ns)
     if not odometry:
-        raise CalibrationError(f"{log.paths[0].name}: no truth in the log ({TRUTH.name})")
+        raise NoTruthError(log.paths[0].name, TRUTH.name)
     if foreign := {entry.frame_id for entry in odometry} - {CHASER}:
         raise CalibrationError(
             f"{log.paths[0].name}: the truth is in frame {foreign.pop()!r}, not {CHASER!r}"

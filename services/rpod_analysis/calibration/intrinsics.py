@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_analysis.calibration.cameras import pmd_camera
 from rpod_analysis.errors import CalibrationError
 from rpod_analysis.log import Log
-from rpod_analysis.log.sensors import find_sensors, pmd_frames
+from rpod_analysis.log.sensors import pmd_frames
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Camera
 
@@ -100,9 +101,7 @@ def images_of(log: Log, sensor: str) -> Iterator[NDArray[np.uint8]]:
     Raises:
         CalibrationError: the log has no such camera.
     """
-    found = find_sensors(log).get(sensor)
-    if found is None or found.kind != "pmd":
-        raise CalibrationError(f"{log.paths[0].name}: no PMD camera called {sensor!r}; give it with --sensor")
+    pmd_camera(log, sensor, option="--sensor", otherwise="a LIDAR has no lens")
     for frame in pmd_frames(log, sensor):
         if frame.amplitude is not None:
             yield _grey(frame.amplitude)
@@ -128,6 +127,10 @@ def find_intrinsics(images: Iterable[NDArray[np.uint8]], board: Checkerboard, mo
         corners = _corners(image, board)
         if corners is not None:
             views.append(corners)
+    if not count:
+        raise CalibrationError(
+            "no image: a folder needs images (PNG, JPEG, TIFF, BMP or PGM), a log the amplitude of the camera"
+        )
     if len(sizes) > 1:
         raise CalibrationError(f"the images have different sizes: {', '.join(map(str, sorted(sizes)))}")
     if len(views) < _LEAST_IMAGES:

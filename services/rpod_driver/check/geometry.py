@@ -29,15 +29,18 @@ _IMPLAUSIBLE = 3.0
 """Magnitude of a value, in prior standard deviations, from which on the fit has not found the target."""
 _FACING = -0.4
 """Cosine between ray and normal from which on a surface faces the sensor."""
-_SIGMAS = 4.0
+SIGMAS = 4.0
 _RANGE_M = 0.05
 """Greatest range error: an uncalibrated PMD camera has some centimetres (wiggling)."""
 _MOUNT_M, _MOUNT_DEG = 0.02, 1.0
 """Greatest error of a mount across the boresight. Robots state 1.6 mm and 0.2 deg of truth; the rest is what
 an uncalibrated lens makes of the edge of an image."""
+_CLOCK_S = 0.01
+"""Greatest offset of stamps for a sensor without a long exposure, s: five standard deviations of the clock
+that the estimator assumes by default."""
 _TRUTH_GAP_S = 0.05
 """Longest time between two poses of the truth between which it is interpolated."""
-MOST_DISTANCE = _SIGMAS + 1.0
+MOST_DISTANCE = SIGMAS + 1.0
 """Greatest Mahalanobis distance between the fitted mount and the published one; beyond, the mount is off."""
 UNDETERMINED = (
     "the motion does not determine time, range and mount; let the target turn more, or watch longer"
@@ -94,9 +97,14 @@ def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResu
             "grid", f"mirrored points fit the target {ratio:.1f} times worse", mirror_ratio=ratio
         )
     merged = [
-        new.pop(each.line) if each.line in new and each.level is Level.UNCHECKED else each for each in results
+        new.pop(each.line) if each.line in new and _adds(new[each.line], each) else each for each in results
     ]
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
+
+
+def _adds(new: CheckResult, old: CheckResult) -> bool:
+    """Return whether truth tells more than the sensor alone: also that a line in order is not."""
+    return old.level is Level.UNCHECKED or (new.level is Level.FAIL and old.level is not Level.FAIL)
 
 
 def _undetermined() -> list[CheckResult]:
@@ -162,6 +170,7 @@ def _moved(
     rays = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
     in_target = T_target_sensor.apply(points_m - values[1] * rays)
     velocity = -(np.cross(rate[:3], in_target) + rate[3:])
+    in_target = in_target + velocity * sighting.times_s[:, None]
     return in_target, velocity, T_target_sensor
 
 
@@ -209,19 +218,23 @@ def _duration_s(seen: Observations) -> float:
 
 
 def _instant(seen: Observations, dt_s: float, sigma_s: float) -> CheckResult:
+    """Check the time between stamps and motion; an offset of the clock and another instant look alike."""
     half_s = 0.5 * _duration_s(seen)
     text = f"motion fits {1e3 * dt_s:+.2f} ms after the stamps, standard deviation {1e3 * sigma_s:.2f} ms"
     figures = {"offset_s": dt_s, "sigma_s": sigma_s}
+    if half_s:
+        text += f", half the exposure is {1e3 * half_s:.2f} ms"
+    off_s = max(0.5 * half_s, _CLOCK_S)
+    if abs(dt_s) > off_s + SIGMAS * sigma_s:
+        if half_s and abs(dt_s - half_s) < 0.5 * half_s + SIGMAS * sigma_s:
+            return fail("instant", text, "stamp_start", **figures)
+        return fail("instant", text, "clock_behind" if dt_s > 0.0 else "clock_ahead", **figures)
     if not half_s:
         return unchecked("instant", f"{text}; the sensor does not state its exposure", **figures)
-    if _SIGMAS * sigma_s > half_s:
-        return unchecked(
-            "instant", f"{text}, half the exposure is {1e3 * half_s:.2f} ms: too close", **figures
-        )
+    if SIGMAS * sigma_s > half_s:
+        return unchecked("instant", f"{text}: too close", **figures)
     if abs(dt_s) > 0.5 * half_s:
-        return fail(
-            "instant", f"{text}, half the exposure is {1e3 * half_s:.2f} ms", "stamp_start", **figures
-        )
+        return fail("instant", text, "stamp_start", **figures)
     return ok("instant", f"{text}: the middle of the exposure", **figures)
 
 
@@ -264,7 +277,7 @@ def mount_error(
     )
     # Across the boresight a shift and a turn look alike, so that only both together are checked.
     checked = [2, 3, 5, 6, 7]
-    allowed = np.diag([_MOUNT_M] * 2 + [np.deg2rad(_MOUNT_DEG)] * 3) ** 2 / _SIGMAS**2
+    allowed = np.diag([_MOUNT_M] * 2 + [np.deg2rad(_MOUNT_DEG)] * 3) ** 2 / SIGMAS**2
     allowed += np.diag([sigma_m] * 2 + [sigma_rad] * 3) ** 2
     off = fit.values[checked]
     distance = float(np.sqrt(off @ np.linalg.solve(fit.covariance[np.ix_(checked, checked)] + allowed, off)))
@@ -274,4 +287,4 @@ def mount_error(
 def mount_is_undetermined(fit: Fitted) -> bool:
     """Return whether the motion shows neither shift nor turn of the mount well enough to call it in order."""
     shift_m, turn_rad = np.linalg.norm(fit.sigmas[2:4]), np.linalg.norm(fit.sigmas[5:8])
-    return bool(_SIGMAS * shift_m > 2.0 * _MOUNT_M and _SIGMAS * turn_rad > 2.0 * np.deg2rad(_MOUNT_DEG))
+    return bool(SIGMAS * shift_m > 2.0 * _MOUNT_M and SIGMAS * turn_rad > 2.0 * np.deg2rad(_MOUNT_DEG))

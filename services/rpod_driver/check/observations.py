@@ -106,6 +106,8 @@ class Observations:
     given_up: list[GivenUp] = field(default_factory=list)
     raw_middle_m: list[float] = field(default_factory=list)
     """Median distance in the leading message of refused frames, as it was sent."""
+    said: Any = None
+    """What the sensor says of itself, or what its frames show of it."""
     infos: list[tuple[Peer, Any]] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
     """Lenses, each time one came that differs from the one before."""
@@ -272,6 +274,7 @@ class Observer:
         for frame in self._assembler.release():
             self._take_frame(frame)
         self.seen.ended_ns = max(self.seen.ended_ns, now_ns)
+        self.seen.said = self._reader.said
         return self.seen
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rpod_driver.check.geometry import (
     MOST_DISTANCE,
+    SIGMAS,
     UNDETERMINED,
     Fitted,
     fitted,
@@ -22,6 +23,8 @@ from rpod_schemas.types import Odometry
 
 _LINE = "mount_second"
 _LEAST_POSES = 3
+_CLOCKS_S = 0.02
+"""Greatest difference of two sensors' stamps, s: twice what one clock may be off beside truth."""
 _GAP_S = 1.1
 """Longest time between two estimates: scanners turn at 1 Hz. At 8 deg/s the interpolation is off by
 (8 deg/s)^2 (1.1 s)^2 / 8 = 0.17 deg, a sixth of what a mount may be off."""
@@ -55,9 +58,15 @@ def _checked(fit: Fitted, poses: list[Odometry], others: str) -> CheckResult:
     if fit.is_implausible:
         return unchecked(_LINE, UNDETERMINED)
     text, figures, distance = mount_error(fit, *_sigmas(poses))
-    text = f"{text}, against {others}"
+    late_s, sigma_s = float(fit.values[0]), float(fit.sigmas[0])
+    figures |= {"offset_s": late_s, "offset_sigma_s": sigma_s}
+    text = f"{text}, against {others}; motion fits {1e3 * late_s:+.1f} ms after the stamps"
     if distance > MOST_DISTANCE:
         return fail(_LINE, f"{text}: this mount, or that one; only truth shows which", "mount_off", **figures)
+    if abs(late_s) > _CLOCKS_S + SIGMAS * sigma_s:
+        fault = "clock_behind" if late_s > 0.0 else "clock_ahead"
+        text = f"{text}, standard deviation {1e3 * sigma_s:.1f} ms: these stamps, or those of {others}"
+        return fail(_LINE, text, fault, **figures)
     if mount_is_undetermined(fit):
         return unchecked(_LINE, f"{text}: the motion does not show more", **figures)
     return ok(_LINE, text, **figures)

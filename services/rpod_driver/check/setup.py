@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
+from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.scan_grid import angles_of, rows_are_elevation
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import TF_STATIC
@@ -180,8 +181,7 @@ def mount(seen: Observations) -> CheckResult:
             pose = extrinsics.mount(seen.name, frame_id)
         except ExtrinsicsError as error:
             return fail(line, str(error), "no_mount")
-        x_m, y_m, z_m = pose.translation
-        places.append(f"{frame_id!r} is at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m of the chaser")
+        places.append(f"{frame_id!r} is {in_words(seen.options.source.boresight_mount(pose))}")
     return ok(line, ", ".join(places))
 
 

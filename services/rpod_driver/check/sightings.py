@@ -13,7 +13,7 @@ from rpod_geometry.lens import undistort
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
-from rpod_schemas.types import Float32Array, Odometry, SensorFrame
+from rpod_schemas.types import Float32Array, LidarScan, Odometry, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
 _LEAST_FRAMES, _LEAST_POINTS = 12, 60
@@ -30,6 +30,8 @@ class Sighting:
 
     points_m: FloatArray
     """Sensor axes, shape (N, 3)."""
+    times_s: FloatArray
+    """Times of the points from the stamp, shape (N,); 0 where the sensor tells none."""
     poses: tuple[RigidTransform, RigidTransform, RigidTransform]
     """T_chaser_target 10 ms before the stamp, at it, and 10 ms after it."""
 
@@ -60,9 +62,9 @@ def sightings_of(
         before, now, after = (_at(poses, times_ns, stamp_ns, gap_s) for stamp_ns in stamps_ns)
         if before is None or now is None or after is None:
             continue
-        points_m = _near(points_of(each.frame), now, mount, surface)
+        points_m, times_s = _near(points_of(each.frame), _times_of(each.frame), now, mount, surface)
         if len(points_m) >= _LEAST_POINTS:
-            found.append(Sighting(points_m, (before, now, after)))
+            found.append(Sighting(points_m, times_s, (before, now, after)))
     if len(found) < _LEAST_FRAMES:
         reason = f"{len(found)} frames show the target where its pose is known, {_LEAST_FRAMES} are needed"
         return reason, nothing, mount
@@ -106,9 +108,24 @@ def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
     return inner
 
 
-def _near(points_m: FloatArray, pose: RigidTransform, mount: RigidTransform, surface: Surface) -> FloatArray:
-    """Return some of the points around the target."""
+def _times_of(frame: SensorFrame) -> FloatArray | None:
+    """Return the times of a scan's returns from its stamp, s, shape (N,); None if it has none."""
+    if not isinstance(frame, LidarScan) or frame.time_s is None:
+        return None
+    points_m = frame.points_m.reshape(-1, 3)
+    returned = np.isfinite(points_m).all(axis=1) & points_m.any(axis=1)
+    return np.nan_to_num(frame.time_s.reshape(-1)[returned].astype(np.float64))
+
+
+def _near(
+    points_m: FloatArray,
+    times_s: FloatArray | None,
+    pose: RigidTransform,
+    mount: RigidTransform,
+    surface: Surface,
+) -> tuple[FloatArray, FloatArray]:
+    """Return some of the points around the target, and their times."""
     in_target = chained(pose.inv(), mount).apply(points_m)
-    found: FloatArray = points_m[np.linalg.norm(in_target, axis=1) < surface.radius_m + _AROUND_M]
-    random = np.random.default_rng(len(found))
-    return found[random.permutation(len(found))[:_POINTS]]
+    near = np.flatnonzero(np.linalg.norm(in_target, axis=1) < surface.radius_m + _AROUND_M)
+    kept = near[np.random.default_rng(len(near)).permutation(len(near))[:_POINTS]]
+    return points_m[kept], np.zeros(len(kept)) if times_s is None else times_s[kept]

@@ -6,11 +6,14 @@ import numpy as np
 
 from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
-from rpod_driver.check.result import CheckResult, fail, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
+from rpod_runtime.sensor_data.end_watch import EndWatch, last_of
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
 from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import SensorInfo
 
 _JITTER_S, _JITTER_SHARE = 1e-3, 0.02
 """Greatest standard deviation of stamps: the ICD takes stamps 1 ms apart as those of one frame; and 2 % of a
@@ -66,12 +69,33 @@ def clock(seen: Observations) -> CheckResult:
         text = (
             f"frames arrive {1e3 * least_s:.1f} ms after their stamp at least, {1e3 * middle_s:.1f} ms mostly"
         )
-        return ok(line, f"{text}: transport and offset of the clock together", **figures)
+        return _against_the_end(seen, line, text, figures)
     age_s = least_s if least_s < -ahead_s else middle_s
     stamp_ns = seen.leads[-1].stamp_ns
     where = f"{-age_s:.3f} s ahead of" if age_s < 0 else f"{age_s:.3f} s behind"
     text = f"stamps are {where} this machine's clock; {clock_hint(-age_s, stamp_ns)}"
     return fail(line, text, _name(-age_s, stamp_ns), **figures)
+
+
+def _against_the_end(seen: Observations, line: str, text: str, figures: dict[str, float]) -> CheckResult:
+    """Compare arrivals with the last measurement of each kept frame: none can arrive before it."""
+    watch = EndWatch(seconds=max(1, len(seen.kept)))
+    of_stamp = {heard.stamp_ns: heard for heard in seen.leads}
+    duration_s = seen.info.duration_s if isinstance(seen.info, SensorInfo) else seen.options.source.duration_s
+    for kept in seen.kept:
+        if heard := of_stamp.get(kept.frame.stamp_ns):
+            last = last_of(kept.frame, duration_s)
+            watch.add(last, heard.stamp_ns, sent_ns=heard.sent_ns, arrival_ns=heard.arrival_ns)
+    if watch.is_settled:
+        figures = figures | {"after_end_s": watch.after_s}
+        text = f"{text}; {watch.told}"
+    sigma_s = IntegrityConfig.model_fields["clock_sigma_s"].default
+    finding = watch.finding(clock_sigma_s=sigma_s, within_s=seen.options.source.arrives_within_s)
+    if finding is None:
+        return ok(line, f"{text}: transport and offset of the clock together", **figures)
+    if finding.fault != "clock_behind":
+        return fail(line, finding.text, finding.fault, **figures)
+    return note(line, finding.text, **figures)
 
 
 def _name(ahead_s: float, stamp_ns: int) -> str:

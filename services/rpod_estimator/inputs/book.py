@@ -24,15 +24,20 @@ AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
 DOUBTFUL_SHARE = 0.125
 """Share of the recent frames that support the pose too little, above which it is told: as that above which
 the navigator begins no track."""
-UNPAIRED, REJECTED = "unpaired", "rejected"
-"""Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it."""
+UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
+"""Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
+came during a search that takes long, which is no error."""
+_CHECK = (
+    "'rpod driver check {}' looks for errors of the sensor, with --target and --search also for a mirrored "
+    "image, another unit or lens"
+)
 
 
 class Loss(NamedTuple):
     """Why a frame was not used."""
 
     kind: str
-    """A ``Reason``, ``UNPAIRED`` or ``REJECTED``."""
+    """A ``Reason``, ``UNPAIRED``, ``REJECTED`` or ``SEARCHING``."""
     text: str
     """Reason with its figures and the remedy."""
 
@@ -70,6 +75,8 @@ class SensorBook:
         """Number of its newest frames that are identical to the one before them."""
         self.defect = ""
         """Defect of its newest frame although it can be used; empty if there is none."""
+        self.clock = ""
+        """What its stamps and the arrival of its frames say against each other; empty if nothing."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -134,11 +141,10 @@ class SensorBook:
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
         latest = next(loss for loss in reversed(losses) if without_figures(loss.text) == reason)
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
-        level = Health.ERROR if len(losses) == frames else Health.WARN
+        level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
-        text = latest.text
-        if level == Health.ERROR and latest.kind == REJECTED:
-            text += f"; 'rpod driver check {self.name}' looks for errors of the sensor"
+        check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
+        text = "; ".join(filter(None, (latest.text, self.clock, self.defect, check)))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self, now_s: float) -> InputState:
@@ -148,8 +154,10 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if self.defect:
-            return InputState(Health.WARN, f"{self.name}: {self.defect}")
+        if self.clock or self.defect:
+            return InputState(
+                Health.WARN, f"{self.name}: {'; '.join(filter(None, (self.clock, self.defect)))}"
+            )
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")

@@ -4,8 +4,18 @@ import logging
 
 from pydantic import ValidationError
 
+from rpod_estimator.estimator import SLOW_SEARCH
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.inputs.book import OK, REJECTED, InputState, Loss, SensorBook, unpaired, unused
+from rpod_estimator.inputs.book import (
+    OK,
+    REJECTED,
+    SEARCHING,
+    InputState,
+    Loss,
+    SensorBook,
+    unpaired,
+    unused,
+)
 from rpod_pose.navigation.first_pose.searches import RESTING
 from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
@@ -56,7 +66,8 @@ class InputHealth:
         if status.accepted:
             book.use(now_s, output.doubt)
         else:
-            book.lose(Loss(arrived.refused or REJECTED, output.why), now_s)
+            kind = SEARCHING if output.why.startswith(SLOW_SEARCH) else REJECTED
+            book.lose(Loss(arrived.refused or kind, output.why), now_s)
 
     def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
         """Note a frame that never became complete."""

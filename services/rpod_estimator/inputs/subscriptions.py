@@ -3,6 +3,7 @@
 The estimator subscribes to sensors, ``tf_static``, diagnostics and the clock only, never to the truth.
 """
 
+import logging
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -15,11 +16,14 @@ import numpy as np
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.inputs.health import InputHealth
 from rpod_estimator.inputs.published import Published
+from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.delivery.holders import Holders, SecondPublisherError
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.sensor_data.end_watch import EndWatch
+from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
@@ -27,8 +31,12 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics
 from rpod_schemas.topics import DIAGNOSTICS, Topic
 
+log = logging.getLogger(__name__)
+
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
+_MOST_MOUNTS = 50
+"""Largest number of mounts that are written to the log."""
 _CLOCK_LAG_S = 0.2
 """Longest time that a clock message may arrive after a frame that was published later."""
 
@@ -44,6 +52,9 @@ class Subscriptions:
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
+        self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
+        self._mounts: set[str] = set()
+        self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
         self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
@@ -192,6 +203,30 @@ class Subscriptions:
         if np.isfinite(watch.drift_ppm):
             self._node.health.measure(f"clock_drift_ppm/{sensor}", watch.drift_ppm)
 
+    def _watch_end(self, sensor: str, frame: Assembled[Received], measurement: Measurement) -> None:
+        """Compare the last measurement of a frame with its sending and arrival."""
+        watch, leading = self._ends[sensor], frame.parts[self._reader.leading[sensor]]
+        was_settled = watch.is_settled
+        watch.add(
+            self._reader.last(sensor, measurement.data),
+            frame.stamp_ns,
+            sent_ns=leading.attachment.stamp_ns,
+            arrival_ns=leading.arrival_ns,
+        )
+        self._node.health.measure(f"arrives_after_s/{sensor}", watch.after_s)
+        sigma_s = self._config.integrity.clock_sigma_s
+        finding = watch.finding(clock_sigma_s=sigma_s, within_s=self._within_s[sensor])
+        self.health.books[sensor].clock = finding.text if finding is not None else ""
+        if watch.is_settled and not was_settled:
+            log.info("%s: frames arrive %s", sensor, watch.told)
+
+    def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
+        """Write a mount to the log in words that a person can check: one sensor alone never shows it."""
+        told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
+        if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
+            self._mounts.add(told)
+            log.info("%s", told)
+
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:
             if self._newest.put(sensor, frame):
@@ -227,6 +262,10 @@ class Subscriptions:
                 # A part that lasts is as new as the frames of its own session.
                 now_s = arrival_s if part.session == session else part.arrival_s
                 self._holders.hold(part.topic.name, part.peer, now_s)
+            if arrived.measurement is not None:
+                self._tell_mount(sensor, arrived.measurement)
+                if not self._in_lockstep:
+                    self._watch_end(sensor, frame, arrived.measurement)
         except SecondPublisherError as error:
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:

@@ -5,6 +5,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime.delivery.holders import UNKNOWN_PEER, Announcements, Peer
 from rpod_runtime.errors import ExtrinsicsError
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.bounds import MOUNT_M
 from rpod_schemas.poses import chained, rotation_of
 from rpod_schemas.topics import CHASER
@@ -89,3 +90,24 @@ def apart(first: RigidTransform, second: RigidTransform) -> str:
     step = chained(first.inv(), second)
     away_m, turned_deg = float(np.linalg.norm(step.translation)), np.rad2deg(rotation_of(step).magnitude())
     return f"{away_m:.3f} m and {turned_deg:.2f} deg"
+
+
+def in_words(T_chaser_sensor: RigidTransform) -> str:
+    """Return a mount as a person checks it: place, boresight and right of the image, by the chaser's axes.
+
+    Args:
+        T_chaser_sensor: mount of the axes x right, y down, z along the boresight.
+    """
+    x_m, y_m, z_m = T_chaser_sensor.translation
+    right, _, boresight = T_chaser_sensor.rotation.as_matrix().T
+    return (
+        f"at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m of the chaser, looks along {_axis(boresight)}, right of its "
+        f"image is {_axis(right)}"
+    )
+
+
+def _axis(direction: FloatArray) -> str:
+    """Return the chaser's axis that is nearest to a direction, with the angle between both."""
+    nearest = int(np.abs(direction).argmax())
+    off_deg = float(np.degrees(np.arccos(min(abs(direction[nearest]), 1.0))))
+    return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]} ({off_deg:.1f} deg off)"

@@ -10,11 +10,14 @@ from checked_estimates import estimates_of
 from checked_sensors import (
     EPOCH_NS,
     INFO,
+    PATTERN,
     SECOND_NS,
     facility,
+    facility_seen,
     failed,
     ideal_camera,
     room_scanner,
+    room_scans,
     wall_camera,
     wall_frames,
     watched,
@@ -23,7 +26,8 @@ from scipy.spatial.transform import Rotation
 
 from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
-from rpod_driver.check.geometry import Fitted
+from rpod_driver.check.geometry import Fitted, fitted
+from rpod_driver.check.sightings import sightings_of
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
@@ -160,6 +164,49 @@ def test_the_motion_tells_the_instant_of_a_stamp_to_a_millisecond():
     good, early = (at(ideal_camera(*faults), "instant").figures for faults in ((), ("stamp_start",)))
     assert abs(good["offset_s"]) < 1e-3
     assert early["offset_s"] == pytest.approx(8e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "level", "words"),
+    [
+        (0.0, Level.OK, "after their last point"),
+        (0.03, Level.FAIL, "at least 0.0"),
+        (0.25, Level.FAIL, "ahead of this machine's clock"),
+        (-0.3, Level.NOTE, "may be up to 0.3"),
+    ],
+)
+def test_a_scanner_alone_tells_an_offset_of_its_clock_as_far_as_arrivals_show_it(late_s, level, words):
+    scans = ((scan, scan.stamp_ns + round(late_s * SECOND_NS)) for scan in room_scans(0, 8.0))
+    frames = (scan.model_copy(update={"stamp_ns": stamp_ns}) for scan, stamp_ns in scans)
+    # The desk hands a frame over at its stamp and the latency: what is late arrives as much earlier.
+    seen = watched("lidar", frames, PATTERN, latency_s=0.04 - late_s, options=Options(rate_hz=10.0))
+    result = at(judge(seen), "clock")
+    assert result.level is level, result.text
+    assert words in result.text
+    assert ("clock_ahead" in result.faults) == (level is Level.FAIL)
+
+
+@pytest.mark.parametrize(("late_s", "fault"), [(0.1, "clock_ahead"), (-0.3, "clock_behind")])
+def test_beside_truth_an_offset_of_a_scanners_clock_is_named(late_s, fault):
+    result = at(facility("lidar", late_s=late_s), "instant")
+    assert result.faults == (fault,), result.text
+    assert result.figures["offset_s"] == pytest.approx(-late_s, abs=0.02)
+
+
+def test_times_of_points_count_where_stamps_are_not_in_the_middle_of_a_scan():
+    """Points that are stamped later and have times as much earlier were measured at the same instants."""
+    for timed, expected_s in ((True, 0.0), (False, -0.06)):
+        seen = facility_seen("lidar", late_s=0.06, timed=timed)
+        surface = seen.options.surface
+        _, sightings, mount = sightings_of(seen, surface, seen.truth, gap_s=0.05)
+        assert fitted(sightings, surface, mount).values[0] == pytest.approx(expected_s, abs=0.015)
+
+
+def test_beside_a_second_sensor_an_offset_of_the_clocks_is_named():
+    estimates = estimates_of("lidar", rate_hz=5.0, seed=0)
+    result = at(ideal_camera(estimates=estimates, late_s=0.08), "mount_second")
+    assert result.faults == ("clock_ahead",), result.text
+    assert "these stamps, or those of lidar" in result.text
 
 
 def test_values_that_no_calibration_can_have_are_not_judged():

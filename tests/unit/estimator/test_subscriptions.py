@@ -891,6 +891,65 @@ def test_topics_that_make_no_frame_are_told(source, text):
         Bench(sensors=[{"kind": "pmd", "source": source}])
 
 
+def told_of_scans(late_s, *, last_s=0.05, source=None):
+    """Return the state of a LIDAR whose stamps are late, after six scans, 10 ms of read-out and link each."""
+    source = {"source": source or {}}
+    bench = Bench(sensors=[{"kind": "lidar", "T_chaser_sensor": {}, **source}])
+    azimuth_rad, elevation_rad = np.linspace(-0.1, 0.1, 3), np.linspace(-0.1, 0.1, 2)
+    said = LidarInfo(
+        azimuth_rad=azimuth_rad, elevation_rad=elevation_rad, scan_time_s=last_s + 0.05, sigma_range_m=0.02
+    )
+    bench.send(LIDAR_INFO.of("lidar"), write_lidar_info(0, "lidar", said))
+    book = bench.inputs.health.books["lidar"]
+    for number in range(6):
+        measured_ns = NOW_NS + number * SECOND_NS
+        noise_m = np.float32(1e-3 * number)
+        fields = {name: values + noise_m for name, values in CLOUD.items()}
+        fields["t"] = np.linspace(-0.05, last_s, 6, dtype=np.float32).reshape(2, 3)
+        arrival_ns = measured_ns + round((last_s + 0.01) * 1e9)
+        bench.send_scan(
+            measured_ns + round(late_s * 1e9), fields, arrival_ns=arrival_ns, arrival_s=float(number)
+        )
+        for arrived in bench.arrived():
+            assert arrived.measurement is not None, arrived.reason
+            book.use(float(number))
+    return book.state(5.5), bench.node.health.diagnostic(0).values
+
+
+@pytest.mark.parametrize(
+    ("late_s", "level", "words"),
+    [
+        (0.0, Health.OK, ""),
+        (
+            0.05,
+            Health.WARN,
+            "lidar: its stamps are at least 0.040 s late: frames arrive before their last poi",
+        ),
+        (0.1, Health.WARN, "its stamps are at least 0.090 s late"),
+        (-0.05, Health.OK, ""),
+        (-0.3, Health.WARN, "lidar: its stamps may be up to 0.310 s early: all frames arrive at least that"),
+    ],
+)
+def test_an_offset_of_a_lidars_stamps_that_no_limit_refuses_is_told_as_far_as_arrivals_show_it(
+    late_s, level, words
+):
+    state, values = told_of_scans(late_s)
+    assert state.level == level, state.text
+    assert words in state.text
+    assert float(values["arrives_after_s/lidar"]) == pytest.approx(0.01 - late_s, abs=1e-6)
+
+
+def test_a_driver_that_is_known_to_be_slow_is_not_told_again():
+    assert told_of_scans(-0.3, source={"arrives_within_s": 0.35})[0].level == Health.OK
+
+
+def test_the_time_to_the_end_of_a_scan_is_written_to_the_log_once(caplog):
+    with caplog.at_level("INFO"):
+        told_of_scans(0.0)
+    lines = [record.getMessage() for record in caplog.records if "frames arrive" in record.getMessage()]
+    assert lines == ["lidar: frames arrive 0.010 s after their last point"]
+
+
 def test_drift_of_a_clock_is_seen_through_the_delays():
     watch, rng = StampWatch(), np.random.default_rng(1)
     for second in np.arange(0.0, 30.0, 0.05):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.arrays import VectorN
+from rpod_schemas.bounds import AzimuthsRad, ElevationsRad
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -39,10 +39,10 @@ class LidarInput(SensorInput):
     """Selects a LIDAR's messages and methods."""
     name: Name = "lidar"
     """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
-    azimuth_rad: VectorN | None = None
+    azimuth_rad: AzimuthsRad | None = None
     """Azimuths of the scan's columns, rad, shape (columns,). Set them if the driver sends no
     ``<lidar>/info``; without either no scan is used."""
-    elevation_rad: VectorN | None = None
+    elevation_rad: ElevationsRad | None = None
     """Elevations of the scan's rows, rad, shape (rows,). Set them together with ``azimuth_rad``."""
     sigma_range_m: NonNegative | None = None
     """Standard deviation of a range, m. Set it if ``<lidar>/info`` does not state it; otherwise 0.05 m is

@@ -67,7 +67,8 @@ def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions
     measured, truth = measured.in_order(), truth.in_order()
     if min(len(measured), len(truth)) < _LEAST_PAIRS:
         raise CalibrationError(
-            f"{len(measured)} poses of the sensor and {len(truth)} of the truth, needs {_LEAST_PAIRS} of each"
+            f"{len(measured)} poses of the sensor and {len(truth)} of the truth, needs {_LEAST_PAIRS} of "
+            "each: log the motion for longer"
         )
     by_rates_s = offset_by_rates(measured, truth)
     far = by_rates_s is not None and abs(by_rates_s) > TWIST_S

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.calibration.hand_eye.poses import StampedPoses
-from rpod_analysis.errors import CalibrationError, NoEstimatorError
+from rpod_analysis.errors import CalibrationError, NoEstimatorError, NoFramesError, NoTruthError
 from rpod_analysis.log import Log
 from rpod_analysis.log.sensors import Sensor, find_sensors
 from rpod_analysis.replay.navigate import configured_estimator, estimator_outputs
@@ -75,8 +75,10 @@ def _sensor(log: Log, name: str | None) -> Sensor:
     sensors = find_sensors(log)
     if name is None and len(sensors) == 1:
         return next(iter(sensors.values()))
+    if not sensors:
+        raise NoFramesError(log.paths[0].name)
     if name not in sensors:
-        known = ", ".join(sorted(sensors)) or "none"
+        known = ", ".join(sorted(sensors))
         asked = "more than one sensor" if name is None else f"no frames of {name!r}"
         raise CalibrationError(f"{log.paths[0].name}: {asked}; it has {known}: choose with --sensor")
     return sensors[name]
@@ -100,7 +102,10 @@ def _measurements(log: Log, config: EstimatorConfig) -> StampedPoses:
 def _estimates(log: Log, sensor: Sensor) -> StampedPoses:
     name = log.paths[0].name
     if sensor.T_chaser_sensor is None:
-        raise CalibrationError(f"{name}: estimates, but not the mount of {sensor.name!r} that they assumed")
+        raise CalibrationError(
+            f"{name}: estimates, but not the mount of {sensor.name!r} that they assumed; give an estimator's "
+            "configuration with --config"
+        )
     prefix = estimate_prefix(log)
     topic = STATUS.under(prefix)
     used = {
@@ -109,7 +114,8 @@ def _estimates(log: Log, sensor: Sensor) -> StampedPoses:
     found = [entry for entry in log.odometry(ESTIMATE.under(prefix)) if entry.stamp_ns in used]
     if not found:
         raise CalibrationError(
-            f"{name}: neither an estimator's configuration nor estimates from {sensor.name!r}"
+            f"{name}: neither an estimator's configuration nor estimates from {sensor.name!r}; give an "
+            "estimator's with --config"
         )
     T_sensor_chaser = sensor.T_chaser_sensor.inv()
     turn = np.kron(np.eye(2), T_sensor_chaser.rotation.as_matrix())
@@ -124,7 +130,7 @@ def _truth(log: Log) -> StampedPoses:
     name = log.paths[0].name
     entries = list(log.odometry(TRUTH))
     if not entries:
-        raise CalibrationError(f"{name}: no truth in the log ({TRUTH.name})")
+        raise NoTruthError(name, TRUTH.name)
     if foreign := {entry.frame_id for entry in entries} - {CHASER}:
         raise CalibrationError(f"{name}: the truth is in frame {foreign.pop()!r}, not {CHASER!r}")
     return _stamped(

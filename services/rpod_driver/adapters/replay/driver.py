@@ -7,7 +7,8 @@ from typing import Any
 from rpod_driver.adapters.replay.bag import Bag
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.images import ImageFolder
-from rpod_schemas.types import SensorFrame, SensorSync
+from rpod_runtime.sensor_data.end_watch import last_of
+from rpod_schemas.types import SensorFrame, SensorInfo, SensorSync
 
 _NANOSECONDS = 1_000_000_000
 _POLL_S = 0.5
@@ -42,11 +43,16 @@ class PlayedSensor:
                 step_ns = frame.stamp_ns - last_ns if last_ns is not None else step_ns
                 last_ns = frame.stamp_ns
                 due_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._device.speed)
-                yield from _until(due_ns)
+                yield from _until(due_ns + round(self._after_s(frame) * _NANOSECONDS))
                 yield frame.model_copy(update={"stamp_ns": due_ns})
             if first_ns is not None and last_ns is not None:
                 length_ns = last_ns - first_ns + (step_ns or _NANOSECONDS)
                 begin_ns += round(length_ns / self._device.speed)
+
+    def _after_s(self, frame: SensorFrame) -> float:
+        """Return the time from the stamp to the last measurement: no sensor sends a frame before it."""
+        info = self._recording.info()
+        return max(0.0, last_of(frame, info.duration_s if isinstance(info, SensorInfo) else 0.0).after_s)
 
     def close(self) -> None:
         """Do nothing: the file is closed after each pass."""

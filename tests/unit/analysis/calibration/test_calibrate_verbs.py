@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
-from synthetic_log import T_CHASER_SENSOR, Frame, SyntheticRun
+from synthetic_log import T_CHASER_SENSOR, TINY_CAMERA, Frame, SyntheticRun, see_depth, see_points
 from typer.testing import CliRunner
 
 from rpod.__main__ import app
@@ -18,6 +19,7 @@ from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.motion import TruthErrorConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
+from rpod_target import load_target
 
 SIGMA = np.array([1e-3] * 3 + [np.radians(0.1)] * 3)
 
@@ -82,6 +84,95 @@ def test_a_log_without_truth_and_a_sensor_that_is_not_there_are_refused(log, tmp
     refused = rpod("clock", log, "--sensor", "lidar")
     assert refused.exit_code == 1
     assert "no frames of 'lidar'; it has pmd: choose with --sensor" in refused.stderr
+
+
+@pytest.fixture
+def empty_folder(tmp_path, monkeypatch):
+    """Return the folder in which a command runs and writes."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+BOARD = ("--pattern", "7x5", "--square-mm", "30")
+NO_CAMERA = "no frames of a PMD camera called 'pmd'; its sensors are lidar (lidar): log a PMD camera; "
+NO_FRAME = "no frame of any sensor in the log; run the sensor's driver beside the logger"
+NO_TRUTH = "no truth in the log (truth/odometry); let the robots or a motion capture system publish it"
+
+
+@pytest.fixture(scope="module")
+def poor_logs(tmp_path_factory):
+    """Return logs by what they lack, and a folder without an image."""
+    folder = tmp_path_factory.mktemp("poor")
+    (folder / "no_image").mkdir()
+    with (folder / "empty.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.finish()
+    (folder / "no_log.mcap").write_bytes(b"")
+    target = load_target("mockup")
+    scans, images = see_points(target), see_depth(target, TINY_CAMERA)
+    SyntheticRun(kind="lidar", name="lidar", duration_s=1.0, render=scans).write(folder / "lidar.mcap")
+    SyntheticRun(duration_s=1.0, with_truth=False, render=images).write(folder / "blind.mcap")
+    SyntheticRun(duration_s=0.5, render=images).write(folder / "short.mcap")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("verb", "log", "told"),
+    [
+        ("depth", "lidar.mcap", NO_CAMERA + "a LIDAR's range error is told by 'rpod driver check' with"),
+        ("depth", "empty.mcap", NO_FRAME),
+        ("depth", "blind.mcap", NO_TRUTH),
+        ("depth", "short.mcap", "gives modulation_frequency_hz; let the camera's driver publish its info"),
+        ("depth", "no_log.mcap", "is not an MCAP log"),
+        ("depth", "no_image", "no .mcap file in this folder"),
+        ("background", "empty.mcap", NO_FRAME),
+        (
+            "background",
+            "short.mcap",
+            "6 frames of 'pmd', needs 10 to know the noise of each pixel: log for lon",
+        ),
+        ("background", "no_log.mcap", "is not an MCAP log"),
+        (
+            "mount",
+            "lidar.mcap",
+            "11 poses of the sensor and 255 of the truth, needs 30 of each: log the motion",
+        ),
+        ("mount", "empty.mcap", NO_FRAME),
+        ("mount", "blind.mcap", NO_TRUTH),
+        ("mount", "no_log.mcap", "is not an MCAP log"),
+        (
+            "clock",
+            "short.mcap",
+            "6 poses of the sensor and 130 of the truth, needs 30 of each: log the motion",
+        ),
+        ("clock", "empty.mcap", NO_FRAME),
+        ("clock", "blind.mcap", NO_TRUTH),
+        ("camera", "lidar.mcap", NO_CAMERA + "a LIDAR has no lens"),
+        ("camera", "empty.mcap", NO_FRAME),
+        ("camera", "short.mcap", "was found in 0 of 6 images, needs 6: check --pattern, light"),
+        ("camera", "no_image", "no image: a folder needs images (PNG, JPEG, TIFF, BMP or PGM)"),
+    ],
+)
+def test_a_log_that_a_verb_cannot_use_gets_one_sentence_with_the_remedy(
+    poor_logs, verb, log, told, empty_folder
+):
+    refused = rpod(verb, poor_logs / log, *(BOARD if verb == "camera" else ()))
+    assert refused.exit_code == 1, refused.output
+    assert told in refused.stderr
+    assert refused.stderr.startswith(f"rpod calibrate {verb}: ")
+    assert len(refused.stderr.strip().splitlines()) == 1
+    assert not refused.stdout
+    assert not list(empty_folder.iterdir())  # nothing is written
+
+
+def test_a_background_of_a_log_with_truth_is_written_with_a_warning(poor_logs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    learned = rpod("background", poor_logs / "lidar.mcap")
+    assert learned.exit_code == 0, learned.output
+    assert "the log has truth; if the target is in view" in learned.stderr
+    assert "lidar: 11 frames" in learned.stdout
+    assert rpod("background", poor_logs / "blind.mcap").stderr == ""
 
 
 def test_the_form_without_a_verb_still_calibrates_distances_and_says_so(log):
