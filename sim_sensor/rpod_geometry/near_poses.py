@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_geometry.ray_tree import DEPTH, Ray, RayTree, in_target, met
 from rpod_geometry.rays import GridArrays
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Float32Array
 
 ROUNDING = 1e-6
@@ -96,7 +96,7 @@ def near_triangles(grid: GridArrays, tree: RayTree, poses: NearPoses) -> NearTri
             waiting[0], left = 0, 1
             while left > 0:
                 left -= 1
-                node = waiting[left]
+                node = int(waiting[left])
                 if _entry(tree.boxes_m[node], wide_m[node], ray) == np.inf:
                     continue
                 if tree.held[node] == 0:
@@ -280,7 +280,7 @@ def _beside(sides: FloatArray, wide_m: float, ray: Ray, entry_m: float) -> bool:
 
 
 @inlined_kernel
-def _entry(box: FloatArray, wide: float, ray: Ray) -> float:
+def _entry(box: Array, wide: float, ray: Ray) -> float:
     """Return the range before which a ray does not meet what is in a box, m; inf if it never does.
 
     Args:

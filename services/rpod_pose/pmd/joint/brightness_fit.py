@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_schemas.arrays import Array
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
@@ -90,7 +91,7 @@ def misfit(
     return float(0.5 * np.square(residual).sum() / (4.0 * np.pi * blur_px**2))
 
 
-def _blurred(image: Float32Array, blur_px: float) -> Float32Array:
+def _blurred(image: Array, blur_px: float) -> Float32Array:
     return cv2.GaussianBlur(image, (0, 0), blur_px).astype(np.float32, copy=False)
 
 
