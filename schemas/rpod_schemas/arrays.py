@@ -23,6 +23,8 @@ def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], 
             want is None or want == have for want, have in zip(shape, array.shape, strict=True)
         )
         if not fits:
+            if array.ndim == len(shape) == 1:
+                raise ValueError(f"has {array.size} values; it needs {shape[0]}")
             wanted = " x ".join("N" if size is None else str(size) for size in shape)
             raise ValueError(f"has shape {array.shape}, needs {wanted}")
         if finite and not np.isfinite(array).all():

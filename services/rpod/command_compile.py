@@ -2,7 +2,7 @@
 
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from multiprocessing import get_context
 
 from rpod_analysis.target_check.trials import try_methods
@@ -11,6 +11,8 @@ from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_target import load_target
 
 _TARGET = "mockup"
+_SAY_S = 30.0
+"""Time after which the user is told that it still compiles, s."""
 _FRAMES = 3
 """Frames on which each method is tried: the first pose, and what follows only from a pose."""
 
@@ -21,10 +23,17 @@ def compile_command() -> int:
     Numba keeps what is compiled: in ``NUMBA_CACHE_DIR``, beside the sources, or in the user's cache.
     """
     names = [kind.name for kind in sensor_kinds()]
-    workers = min(len(names), os.cpu_count() or 1)
+    workers, begin_s = min(len(names), os.cpu_count() or 1), time.monotonic()
+    print(f"compiling: {', '.join(names)} (minutes the first time)", flush=True)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for name, took_s in zip(names, pool.map(_compile, names), strict=True):
-            print(f"compiled: {name}, {took_s:.0f} s")
+        waiting = {pool.submit(_compile, name): name for name in names}
+        while waiting:
+            done, _ = wait(waiting, timeout=_SAY_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                print(f"compiled: {waiting.pop(future)}, {future.result():.0f} s", flush=True)
+            if not done:
+                left, past_s = ", ".join(waiting.values()), time.monotonic() - begin_s
+                print(f"compiling: {left}, for {past_s:.0f} s so far", flush=True)
     return EXIT_OK
 
 

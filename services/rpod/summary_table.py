@@ -3,19 +3,26 @@
 from rich.console import Console
 from rich.table import Table
 
+from rpod_analysis.scoring.run_checks import MAX_DROPPED_SHARE, dropped_share
 from rpod_schemas.summary import ErrorSummary, Handover, Summary
 
 _MANY = 0.1
 """Unused frames of a sensor, over the used ones, from which on their reason is printed."""
 
 
-def print_summary(summary: Summary, console: Console) -> None:
-    """Print the summary that an operator needs first: tracking, errors, lost data."""
-    title = f"{summary.scenario or summary.log}, {summary.duration_s:.0f} s"
+def print_summary(summary: Summary, console: Console, *, name: str = "") -> None:
+    """Print the summary that an operator needs first: tracking, errors, lost data.
+
+    Args:
+        summary: summary of the run.
+        console: where it is printed.
+        name: name of the run among others; by default its scenario.
+    """
+    title = f"{name or summary.scenario or summary.log}, {summary.duration_s:.0f} s"
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="dim")
-    for name, value in _rows(summary):
-        table.add_row(name, value)
+    for row in _rows(summary):
+        table.add_row(*row)
     console.print(table)
 
 
@@ -50,11 +57,21 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
             f"{estimates.accepted} accepted, {estimates.rejected} rejected, {estimates.dropped} dropped, "
             f"{estimates.unscored} unscored",
         ),
+        *_pace_rows(summary),
         *_unused_rows(summary),
         *_measured_rows(summary),
         *((f"mounts of {pair}", found.text) for pair, found in summary.mounts.items()),
         _message_row(summary),
     ]
+
+
+def _pace_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return a row with the remedy if so many frames were dropped that the run does not pass its check."""
+    share = dropped_share(summary)
+    if share <= MAX_DROPPED_SHARE:
+        return []
+    text = f"{_percent(share)} of the frames: this machine is busy or slow; a run with --speed max drops none"
+    return [("dropped", text)]
 
 
 def _unused_rows(summary: Summary) -> list[tuple[str, str]]:

@@ -43,7 +43,11 @@ class EndpointError(BusError):
     """The router cannot listen on its configured endpoint."""
 
     def __init__(self, endpoint: str, reason: str) -> None:
-        super().__init__(f"cannot listen on {endpoint}: {reason}; is another router running there?")
+        taken = "in use" in reason
+        remedy = (
+            "is another router running there?" if taken else "is it an address of this machine, with a port?"
+        )
+        super().__init__(f"cannot listen on {endpoint}: {reason}; {remedy}")
 
 
 class NotThisServiceError(BusError):

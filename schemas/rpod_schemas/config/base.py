@@ -22,9 +22,12 @@ _NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
 Name = Annotated[str, Field(pattern=_NAME)]
 ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 """Pattern of an endpoint of Zenoh."""
+ZENOH_ID = r"^[0-9a-f]{1,32}$"
+"""Pattern of an identity of a Zenoh session."""
 _PATTERNS = {
     _NAME: "needs a letter, then letters, digits, '_' or '-'",
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
+    ZENOH_ID: "needs 1 to 32 digits from 0 to 9 and a to f, such as e57a7e",
 }
 """Requirement on a text in words, by its pattern."""
 _UNKNOWN = "extra_forbidden"
@@ -55,6 +58,8 @@ def live_fields(model: type[BaseModel]) -> tuple[str, ...]:
 
 
 _MOST_BYTES, _MOST_VALUES, _MOST_LEVELS = 8 << 20, 1_000_000, 50
+_MOST_FILES = 1000
+"""Number of files of a folder among which the one that was meant is looked for."""
 _TOO_DEEP = f"is nested more than {_MOST_LEVELS} levels deep; no field of a configuration is"
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -74,19 +79,44 @@ def read_document(path: Path) -> dict[str, Any]:
             )
         text = data.decode("utf-8")
     except OSError as error:
-        raise ConfigurationError(path, "", f"cannot be read ({error.strerror})") from error
+        raise ConfigurationError(path, "", f"cannot be read ({error.strerror}){_meant(path)}") from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(path, "", "is not UTF-8 text") from error
     try:
         document = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
     except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(path, "", " ".join(str(error).split())) from error
+        raise ConfigurationError(path, "", _syntax(error)) from error
     except RecursionError as error:
         raise ConfigurationError(path, "", _TOO_DEEP) from error
     _check_size(document, path)
     if not isinstance(document, dict):
         raise ConfigurationError(path, "", "needs named fields at its top level")
     return document
+
+
+def _meant(path: Path) -> str:
+    """Return a hint at the file that was meant, or at the folder that does not exist."""
+    folder = path.parent
+    try:
+        if not folder.is_dir():
+            return f": there is no folder {folder}"
+        names = [each.name for each in islice(folder.iterdir(), _MOST_FILES) if each.suffix == path.suffix]
+    except OSError:
+        return ""
+    meant = [] if path.name in names else get_close_matches(path.name, names, n=1)
+    return f"; did you mean {folder / meant[0]}?" if meant else ""
+
+
+def _syntax(error: Exception) -> str:
+    """Return where a file cannot be parsed, and why."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return " ".join(str(error).split())
+    mark, problem = error.problem_mark, error.problem or ""
+    if "expected ':'" in problem and error.context_mark is not None:
+        mark = error.context_mark  # the line without a colon; the problem is seen on the next one
+    if "'\\t'" in problem:
+        problem = "there is a tab; YAML is indented with spaces"
+    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}"
 
 
 def _check_size(document: Any, path: Path) -> None:

@@ -94,11 +94,20 @@ class Scenario(Config):
             raise ValueError("sensors: two have the same name")
         for fault in self.faults:
             if fault.sensor not in {None, *(name for _, name in emulated)}:
-                raise ValueError(f"faults: no sensor {fault.sensor!r} is emulated")
+                raise ValueError(
+                    f"faults: no sensor {fault.sensor!r} is emulated; sensors has {self._emulated}"
+                )
             if fault.service not in (None, *_MAY_FAIL[fault.kind.subject]):
                 known = ", ".join(_MAY_FAIL[fault.kind.subject])
                 raise ValueError(f"faults: {fault.fault} of {fault.service!r}, needs one of {known}")
         for sensor in self.estimator.sensors:
             if (sensor.kind, sensor.name) not in emulated:
-                raise ValueError(f"estimator.sensors: no {sensor.kind} called {sensor.name!r} is emulated")
+                raise ValueError(
+                    f"estimator.sensors: no {sensor.kind} called {sensor.name!r} is emulated; sensors has "
+                    f"{self._emulated}: add it there, or remove it here"
+                )
         return self
+
+    @property
+    def _emulated(self) -> str:
+        return ", ".join(f"{sensor.kind} {sensor.name!r}" for sensor in self.sensors) or "none"

@@ -13,6 +13,11 @@ from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.summary import Comparison, Summary
 
 
+def _run_name(summary: Summary) -> str:
+    """Return the name of the log's folder, which runs of one scenario do not share."""
+    return Path(summary.log).parent.name or summary.log
+
+
 def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
     """Write report and summary of a log, or of several and their comparison; return the exit code."""
     runs = group_parts(logs)
@@ -28,6 +33,6 @@ def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> 
     console = Console()
     one = len(runs) == 1
     for summary in [Summary.model_validate_json(text)] if one else Comparison.model_validate_json(text).runs:
-        print_summary(summary, console)
+        print_summary(summary, console, name="" if one else _run_name(summary))
     console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
     return EXIT_OK

@@ -103,4 +103,5 @@ def _fail(reason: Exception | str, code: int, folder: RunFolder | None = None) -
     print(f"rpod run: {reason}", file=sys.stderr)
     if folder and folder.log.exists():
         print(f"log      {folder.log}", file=sys.stderr)
+        print(f"next     rpod report {folder.log}", file=sys.stderr)
     return code

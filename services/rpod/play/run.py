@@ -40,7 +40,7 @@ _TURN_S = 5.0
 _POLL_S = 0.1
 _LONG_START_S = 15.0
 """Time after which a start takes as long as only compiling does; with compiled kernels it is 3 to 10 s."""
-_COMPILING = "a first start compiles for some minutes, as 'rpod compile' does"
+_COMPILING = "compiling takes minutes at a first start; a busy machine takes longer, too"
 _VIEW, _LOGGER = "view", "logger"
 
 
@@ -157,7 +157,7 @@ def _await_ready(
     waiting = {*facility.services, *(("proxy",) if facility.proxy else ())}
     clock = AwakeClock(_TURN_S)
     while waiting:
-        compiling = f" ({_COMPILING})" if clock.now_s() > _LONG_START_S else ""
+        compiling = f"; {_COMPILING}" if clock.now_s() > _LONG_START_S else ""
         progress.say(f"waiting for {', '.join(sorted(waiting))}{compiling}")
         for verb in sorted(waiting):
             _check(services, interrupted)

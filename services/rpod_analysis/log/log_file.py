@@ -56,7 +56,7 @@ def files_of(path: Path) -> list[Path]:
         file for file in files if not file.stem.endswith(REPLAY) and beside(file, RECOVERED) not in files
     ]
     if not files:
-        raise NoLogError(path, f"no {SUFFIX} file in this folder")
+        raise NoLogError(path, f"no {SUFFIX} file in this folder; give the folder of one run, or its log")
     return files
 
 

@@ -45,6 +45,7 @@ class ComparedRow:
 
 
 ROWS = (
+    ComparedRow("seed", "", "seed", ".0f", better=0),
     ComparedRow("duration", "s", "duration_s", ".1f", better=0),
     ComparedRow("first tracking", "s", "modes.first_tracking_s", ".2f"),
     ComparedRow("time in tracking", "%", "modes.tracked_time_share", ".2f", 1e2, better=1),
@@ -59,13 +60,13 @@ ROWS = (
     ComparedRow("position error, 95 % below", "mm", "error.position_m.p95", scale=1e3),
     ComparedRow("position error, worst", "mm", "error.position_m.max", scale=1e3),
     ComparedRow("worse than 10° or 0.3 m", "%", "modes.worse_than_10deg_or_0_3m_share", ".2f", 1e2),
-    ComparedRow("NEES, mean (its degrees of freedom are right)", "", "consistency.nees_mean", better=0),
+    ComparedRow("NEES, mean (best: its degrees of freedom)", "", "consistency.nees_mean", better=0),
     ComparedRow("degrees of freedom of the NEES", "", "consistency.nees_dof", ".0f", better=0),
     ComparedRow("NEES within the 95 % bound", "%", "consistency.nees_share_in_95", ".1f", 1e2, better=0),
     ComparedRow("handover, gap", "s", "handover.gap_s", ".2f"),
     ComparedRow("handover, jump beyond the covariance", "mm", "handover.jump_m", ".1f", 1e3),
     ComparedRow("handover, jump beyond the covariance", "°", "handover.jump_deg", ".2f"),
-    ComparedRow("NIS, mean (as of the NEES)", "", "innovation.nis_mean", better=0),
+    ComparedRow("NIS, mean (best: degrees of freedom of the NEES)", "", "innovation.nis_mean", better=0),
     ComparedRow("latency, median", "ms", "latency_s.p50", scale=1e3),
     ComparedRow("latency, 99 % below", "ms", "latency_s.p99", scale=1e3),
     ComparedRow("processing, median", "ms", "processing_s.p50", scale=1e3),

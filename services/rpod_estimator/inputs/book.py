@@ -17,6 +17,8 @@ WINDOW_S = 2.0
 """Time span of the frames that are checked."""
 LEAST_FRAMES = 3
 """Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
+LOCKSTEP_SILENCE_S = 60.0
+"""As ``WINDOW_S``, for silence in lockstep, where a second of the scenario may take many."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
@@ -61,10 +63,17 @@ class _Frame:
 
 
 class SensorBook:
-    """Book of one sensor; ``leading`` is the part that its frames are counted by."""
+    """Book of one sensor.
 
-    def __init__(self, name: str, leading: str, *, now_s: float) -> None:
-        self.name, self._leading = name, leading
+    Args:
+        name: name of the sensor.
+        leading: part that its frames are counted by.
+        now_s: time, s, of the monotonic clock, as in all methods.
+        silence_s: least time without a frame after which the sensor is silent, s.
+    """
+
+    def __init__(self, name: str, leading: str, *, now_s: float, silence_s: float = WINDOW_S) -> None:
+        self.name, self._leading, self._silence_s = name, leading, silence_s
         self.used = 0
         """Number of frames whose measurement was accepted."""
         self.lost: Counter[str] = Counter()
@@ -121,7 +130,7 @@ class SensorBook:
 
     @property
     def _silent_after_s(self) -> float:
-        return max(WINDOW_S, PERIODS * median(self._gaps_s or [0.0]))
+        return max(self._silence_s, PERIODS * median(self._gaps_s or [0.0]))
 
     def state(self, now_s: float) -> InputState:
         """Return the health: WARN if more than half of the recent frames were not used, ERROR if none was."""

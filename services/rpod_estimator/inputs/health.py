@@ -10,6 +10,7 @@ from rpod_estimator.inputs.book import (
     OK,
     REJECTED,
     SEARCHING,
+    WINDOW_S,
     InputState,
     Loss,
     SensorBook,
@@ -40,11 +41,17 @@ class InputHealth:
         health: book in which the diagnostics are kept.
         leading: leading part of each sensor's frames, by sensor.
         now_s: time, s, of the monotonic clock, as in all methods.
+        silence_s: least time without a frame after which a sensor is silent, s.
     """
 
-    def __init__(self, health: HealthBook, leading: dict[str, str], *, now_s: float) -> None:
+    def __init__(
+        self, health: HealthBook, leading: dict[str, str], *, now_s: float, silence_s: float = WINDOW_S
+    ) -> None:
         self._health, self._leading = health, leading
-        self.books = {sensor: SensorBook(sensor, part, now_s=now_s) for sensor, part in leading.items()}
+        self.books = {
+            sensor: SensorBook(sensor, part, now_s=now_s, silence_s=silence_s)
+            for sensor, part in leading.items()
+        }
         self._told: dict[str, tuple[InputState, float]] = {}
         self._next_s = now_s
         self._state = OK

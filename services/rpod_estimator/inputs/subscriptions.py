@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rpod_estimator.frame_reader import Arrived, FrameReader
+from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, WINDOW_S
 from rpod_estimator.inputs.health import InputHealth
 from rpod_estimator.inputs.published import Published
 from rpod_pose.measurement import Measurement
@@ -57,7 +58,10 @@ class Subscriptions:
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
-        self.health = InputHealth(node.health, self._reader.leading, now_s=self.heard_until_s)
+        silence_s = LOCKSTEP_SILENCE_S if config.time_source == "clock" else WINDOW_S
+        self.health = InputHealth(
+            node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
+        )
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from rpod_estimator.inputs.book import Loss, SensorBook, unpaired
+from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, Loss, SensorBook, unpaired
 from rpod_estimator.inputs.health import InputHealth
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
@@ -172,3 +172,12 @@ def test_a_doubt_about_used_frames_is_told():
     book, now_s = book_after([None] * 30)
     book.defect = "all pixels of its amplitude are 128; correct its driver"
     assert book.state(now_s) == (Health.WARN, "pmd: all pixels of its amplitude are 128; correct its driver")
+
+
+def test_in_lockstep_a_sensor_is_silent_after_a_minute_of_the_wall_clock(caplog):
+    health = HealthBook("estimator")
+    books = InputHealth(health, {"pmd": "depth"}, now_s=0.0, silence_s=LOCKSTEP_SILENCE_S)
+    books.report(Mode.ACQUIRING, 59.0)
+    assert not caplog.records
+    books.report(Mode.ACQUIRING, 61.0)
+    assert "pmd: no frame yet in 61 s" in caplog.text

@@ -89,7 +89,8 @@ def test_a_supervised_process_ends_with_its_supervisor():
         ("stop.set() or NoRouterError('tcp/x', 1.0, stopped=True)", 0, "INFO    test: stopped after"),
         ("NoRouterError('tcp/x', 1.0)", 1, "ERROR   test: no router at tcp/x"),
         ("ConfigurationError('file', 'field', 'is wrong')", 2, "file: field: is wrong"),
-        ("EndpointError('tcp/x', 'taken')", 1, "tcp/x"),
+        ("EndpointError('tcp/x', 'Address in use')", 1, "is another router running"),
+        ("EndpointError('tcp/x', 'invalid socket address')", 1, "an address of this machine, with a port"),
         ("ValueError('unexpected')", 1, "Traceback"),
     ],
 )

@@ -99,6 +99,32 @@ def test_a_missing_file_is_named(tmp_path):
         read_document(tmp_path / "none.yaml")
 
 
+def test_a_file_with_a_nearly_right_name_is_proposed_and_a_missing_folder_named(tmp_path):
+    (tmp_path / "kepler.yaml").write_text("a: 1")
+    (tmp_path / "kepler.obj").write_text("")
+    with pytest.raises(ConfigurationError, match=r"did you mean .*/kepler\.yaml\?$"):
+        read_document(tmp_path / "keppler.yaml")
+    with pytest.raises(ConfigurationError, match=r"directory\)$"):
+        read_document(tmp_path / "quite-another.yaml")
+    with pytest.raises(ConfigurationError, match=r"there is no folder .*/lost$"):
+        read_document(tmp_path / "lost" / "kepler.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\nb\nc: 2\n", "line 2, column 1: could not find expected ':'"),
+        ("a: 1\n\tb: 2\n", "line 2, column 1: there is a tab; YAML is indented with spaces"),
+    ],
+)
+def test_an_error_of_syntax_is_told_with_its_line(tmp_path, text, words):
+    file = tmp_path / "bad.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError) as error:
+        read_document(file)
+    assert str(error.value) == f"{file}: {words}"
+
+
 def test_a_pose_is_written_as_it_is_read():
     outer = check(
         Outer,
@@ -147,6 +173,18 @@ def test_the_estimator_of_a_scenario_listens_to_all_sensors_if_it_names_none():
 def test_a_scenario_without_usable_sensors_names_them(sensors):
     with pytest.raises(ValidationError, match="sensors"):
         Scenario.model_validate(SCENARIO | {"sensors": sensors})
+
+
+def test_a_sensor_that_is_not_emulated_is_named_beside_those_that_are():
+    document = SCENARIO | {"sensors": [{"kind": "pmd"}], "estimator": {"sensors": [{"kind": "lidar"}]}}
+    with pytest.raises(ConfigurationError, match=r"no lidar called 'lidar' .* sensors has pmd 'pmd'"):
+        check(Scenario, document, source="mine.yaml")
+
+
+def test_a_vector_with_too_few_numbers_is_told_how_many_it_needs():
+    motion = SCENARIO["motion"] | {"trajectory": {"kind": "approach", "start_m": [0, 6], "end_m": [0, 0, 3]}}
+    with pytest.raises(ConfigurationError, match=r"start_m: has 2 values; it needs 3"):
+        check(Scenario, SCENARIO | {"motion": motion, "sensors": [{"kind": "pmd"}]}, source="mine.yaml")
 
 
 def test_a_scenarios_title_may_be_short():

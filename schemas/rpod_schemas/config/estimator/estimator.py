@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.bounds import AzimuthsRad, ElevationsRad
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
+from rpod_schemas.config.base import ZENOH_ID, Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
@@ -202,7 +202,7 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
 
     instance: Name = "estimator"
     """Name on the bus."""
-    zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=r"^[0-9a-f]{1,32}$")
+    zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=ZENOH_ID)
     """Zenoh identity of the estimator, from which the router withholds the truth."""
     target: str
     """Name of a shipped target, or the file of your own; all methods look for this body."""

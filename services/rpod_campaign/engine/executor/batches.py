@@ -49,13 +49,23 @@ class Batches:
             if taken and self._waiting[0].cell != taken[0].cell:
                 break
             task = self._waiting.popleft()
-            if task in self._unfinished:
+            if task in self._unfinished and task not in taken:
                 taken.append(task)
         return tuple(taken)
 
     def give_back(self, batch: Batch) -> None:
         """Put back a batch that was not run."""
         self._waiting.extendleft(reversed(batch))
+
+    def share(self, batch: Batch) -> None:
+        """Put a batch that may still be running behind all others, so that another worker runs it too."""
+        self._waiting.extend(batch)
+
+    def put_all_back(self) -> None:
+        """Put back all trials that are not finished, wherever they were."""
+        left = sorted(self._unfinished)
+        self._alone = deque(task for task in left if task in self._ended)
+        self._waiting = deque(task for task in left if task not in self._ended)
 
     def worker_ended(self, batch: Batch) -> tuple[Task, int]:
         """Put back a batch whose worker ended; return its trial with most ended workers, and their count."""

@@ -10,7 +10,7 @@ import logging
 import re
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import polars as pl
@@ -75,7 +75,7 @@ class Cluster:
         job = _job(work)
         with _quiet(), _scheduler(self._address) as address:
             while batches.left:
-                with closing(self._connected(address)) as client, suppress(SchedulerLostError):
+                with self._connection(address) as client, suppress(SchedulerLostError):
                     dispatch = Dispatch(client, work, job, batches, note=self._note)
                     for arrived in dispatch.run(address, patience_s=self._patience_s):
                         _keep(work, arrived)
@@ -85,6 +85,15 @@ class Cluster:
                             raise arrived.failure.raised(work, arrived.batch[0].cell)
                     continue
                 self._note(f"{address}: the scheduler does not answer; trying again")
+
+    @contextmanager
+    def _connection(self, address: str) -> Iterator[Client]:
+        client = self._connected(address)
+        try:
+            yield client
+        finally:
+            with suppress(OSError):  # a scheduler that is lost says nothing to the end either
+                client.close()  # type: ignore[no-untyped-call]
 
     def _connected(self, address: str) -> Client:
         begin_s = time.monotonic()

@@ -32,3 +32,12 @@ def test_a_sensor_with_many_unused_frames_has_a_row_with_the_last_reason(tmp_pat
 def test_messages_that_cannot_be_read_are_counted(tmp_path):
     assert "cannot be read" not in told(tmp_path)
     assert "3 cannot be read" in told(tmp_path, unreadable={"pmd/info": {"late": 2, "malformed": 1}})
+
+
+def test_a_run_that_dropped_many_frames_names_the_remedy(tmp_path):
+    with open_log(SyntheticRun().write(tmp_path / "run.mcap")) as log:
+        estimates = summarise(log, stream_run(log)).estimates
+    used = estimates.accepted + estimates.rejected
+    many, few = (estimates.model_copy(update={"dropped": round(share * used)}) for share in (1.0, 0.04))
+    assert "50.0 % of the frames: this machine is busy or slow" in told(tmp_path, estimates=many)
+    assert "--speed max" not in told(tmp_path, estimates=few)
