@@ -282,7 +282,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
 
 @pytest.mark.parametrize(
     ("content", "reason"),
-    [(b"parts: [", "parts"), (b"\xff\xfe\x00", "UTF-8"), (b"just text", "named fields")],
+    [(b"parts: [", "line 1, column 9"), (b"\xff\xfe\x00", "UTF-8"), (b"just text", "named fields")],
 )
 def test_an_unreadable_file_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
     file = tmp_path / "target.yaml"
