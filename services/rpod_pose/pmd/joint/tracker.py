@@ -68,6 +68,9 @@ an edge, and rays half a pixel apart tell no more than a quarter."""
 CERTAIN_PX = 1.0
 """Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
 the width of an edge, a pixel."""
+CERTAIN_SIGMAS = 0.5
+"""The same distance over a bound of what the noise of the frame explains: the sum of the standard deviations
+of the position and of the radius turned. Numerics: further starts cost time; with 1, false minima are left."""
 LAST_STEPS = 2
 """Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
@@ -160,8 +163,10 @@ class JointTracker:
     def _likeliest(self, seen: JointFrame, predicted: PoseArrays, tried: "_Tried") -> Registration:
         """Return the registration of the likeliest pose around one that is far from its prediction."""
         aligned, found = tried
-        focal_px, radius_m = seen.lens.fx, self._target.radius_m
-        if moved_px(predicted, aligned.fit.state.pose, radius_m, focal_px) < CERTAIN_PX:
+        focal_px, radius_m, pose = seen.lens.fx, self._target.radius_m, aligned.fit.state.pose
+        deviations = np.sqrt(np.diag(found.covariance).reshape(2, 3).sum(axis=1))
+        sigma_px = focal_px / seen.away_m * float(deviations @ (1.0, radius_m))
+        if moved_px(predicted, pose, radius_m, focal_px) < max(CERTAIN_PX, CERTAIN_SIGMAS * sigma_px):
             return found
         schedule = np.maximum(self._near, (self._least_scale_m(seen), 0.0))
         errors = self._edge_errors._replace(merged=aligned.last.edge_errors.merged)
