@@ -69,8 +69,8 @@ CERTAIN_PX = 1.0
 """Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
 the width of an edge, a pixel."""
 CERTAIN_SIGMAS = 0.5
-"""The same distance over a bound of what the noise of the frame explains: the sum of the standard deviations
-of the position and of the radius turned. Numerics: further starts cost time; with 1, false minima are left."""
+"""The same distance over a bound of what the noise of the frame explains: the standard deviation of the
+position and that of the attitude times the radius. Numerics: a budget of computation."""
 LAST_STEPS = 2
 """Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
