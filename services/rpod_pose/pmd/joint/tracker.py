@@ -65,9 +65,9 @@ pixel apart."""
 SAME_PX = 0.25
 """Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
 an edge, and rays half a pixel apart tell no more than a quarter."""
-CERTAIN_PX = 1.0
+CERTAIN_PX = 1.6
 """Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
-the width of an edge, a pixel."""
+the width of an edge, twice the standard deviation of the smoothing."""
 CERTAIN_SIGMAS = 0.5
 """The same distance over a bound of what the noise of the frame explains: the standard deviation of the
 position and that of the attitude times the radius. Numerics: a budget of computation."""
