@@ -1,4 +1,4 @@
-"""Of two alignments the whole image tells the likelier one, and the other one is among its errors."""
+"""The whole image decides which of several alignments is likeliest; the others are part of its errors."""
 
 from dataclasses import replace
 
