@@ -25,6 +25,8 @@ from rpod_schemas.control import StatusReply
 from rpod_schemas.faults import PlannedFault
 from rpod_schemas.types import Camera
 
+SIZES = {"lost_messages": 0.4}
+"""Sizes of faults that a loaded machine, which sends a few frames only, still shows."""
 CAMERA = Camera(width=64, height=48, fx=110.0, fy=110.0, cx=31.5, cy=23.5)
 
 
@@ -67,7 +69,7 @@ def emulated(bus, *faults: str):
         bus=bus.config,
         target="mockup",
         sensors=tuple(PmdConfig(name=name, rate_hz=10.0, camera=CAMERA) for name in names),
-        faults=tuple(PlannedFault(fault=fault, sensor=fault) for fault in faults),
+        faults=tuple(PlannedFault(fault=fault, sensor=fault, size=SIZES.get(fault)) for fault in faults),
     )
     motion = MotionServiceConfig(
         bus=bus.config,
