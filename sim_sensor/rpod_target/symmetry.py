@@ -185,10 +185,10 @@ def _about(matcher: _Matcher, axis: FloatArray) -> Iterator[FoundSymmetry]:
         yield one(exact[0], exact[2], exact=True)
     if around:
         yield one(exact[0] if exact else _REVOLUTION, least, exact=False, continuous=True)
-    elif exact is None:
+    if exact is None:
         most = max(share for _, _, share in orders)
         order, _, share = next(each for each in orders if each[2] > most - _ALIKE)
-        if share > _NEAR_SHARE:
+        if share > (least + _ALIKE if around else _NEAR_SHARE):
             yield one(order, share, exact=False)
 
 

@@ -84,6 +84,18 @@ def test_a_small_box_on_the_side_shows_the_angle_close_by_only(tmp_path: Path, c
     assert "lidar mistakes it at" in (tmp_path / "body.yaml").read_text()
 
 
+def test_of_a_body_near_any_turn_the_turn_that_is_nearer_is_found_too(tmp_path: Path, cache: Path) -> None:
+    boxes = []
+    for side_m, x in ((0.2, 0.59), (0.22, -0.6)):
+        boxes.append(trimesh.creation.box((0.2, side_m, 0.8)))
+        boxes[-1].apply_translation([x, 0.0, 0.4])
+    found: list[FoundSymmetry] = []
+    target = drafted(trimesh.util.concatenate([tank(48), nozzle(), *boxes]), tmp_path, cache, found)
+    (around,) = (one for one in found if one.continuous)
+    assert not around.mistaken
+    assert [(one.order, one.exact, one.continuous) for one in target.symmetries] == [(2, False, False)]
+
+
 def at(one: FoundSymmetry, sensor: str, condition: str):
     return next(each for each in one.likeness if (each.sensor, each.condition) == (sensor, condition))
 
