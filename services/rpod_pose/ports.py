@@ -257,6 +257,15 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
 
 @runtime_checkable
+class ComparingTracker(Tracker[MeasurementT_contra], Protocol[MeasurementT_contra]):
+    """A tracker that tells which of several poses explains a frame best."""
+
+    def log_likelihoods(self, measurement: MeasurementT_contra, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of one frame at poses registered in it, shape (N,), up to a constant."""
+        ...
+
+
+@runtime_checkable
 class WholeFrameTracker(Protocol):
     """A tracker that verifies the poses of a search, which has a part of a frame, in the whole frame."""
 
@@ -295,8 +304,8 @@ class Deskew(Protocol):
 class Likelihoods(Protocol):
     """Weighs poses against each other in one frame, as the search weighs its hypotheses."""
 
-    def __call__(self, frame: Any, poses: Sequence[RigidTransform], /) -> FloatArray:
-        """Return the log likelihoods of a frame under poses T_sensor_target, shape (N,), up to a constant."""
+    def __call__(self, frame: Any, found: Sequence[Registration], /) -> FloatArray:
+        """Return the log likelihoods of a frame at registered poses, shape (N,), up to a constant."""
         ...
 
 

@@ -97,9 +97,10 @@ class GlobalSearch:
         belief = contradicted(f"the pose turned by {turn:.0f} deg explains the scan better")
         return Acquisition(replace(registration, belief=belief))
 
-    def log_likelihoods(self, measurement: LidarScan, poses: Sequence[RigidTransform]) -> FloatArray:
-        """Return the log likelihoods of a scan under poses, shape (N,): ports.Likelihoods."""
+    def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of a scan at registered poses, shape (N,): ports.Likelihoods."""
         seen, model = self._seen(measurement), self._tracker.model
+        poses = (each.T_sensor_target for each in found if each.T_sensor_target is not None)
         fits = (model.fit(seen, rotation_matrix(pose), pose.translation) for pose in poses)
         return np.array([fit.log_likelihood for fit in fits])
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState, predict
@@ -71,11 +70,11 @@ class ParallelTracks:
             applied = apply(rival.history, as_measured(registration, event), self._config, predicted)
             if applied.accepted:
                 left.append(replace(rival, history=applied.history))
-                seen.append((frame, registration.T_sensor_target, registration))
+                seen.append((frame, registration))
         if not left:
             return None
         share = rivals.share_of_frame(event.stamp_ns, self._config.correlation_inflation)
-        logs = share * _likelihoods(methods, [frame for frame, _, _ in seen], [pose for _, pose, _ in seen])
+        logs = share * _likelihoods(methods, *zip(*seen, strict=True))
         weighed = [
             replace(rival, log_evidence=rival.log_evidence + log)
             for rival, log in zip(left, logs.tolist(), strict=True)
@@ -86,7 +85,7 @@ class ParallelTracks:
             rivals._replace(
                 tracks=tracks, newest_ns=max(rivals.newest_ns, event.stamp_ns), frames=rivals.frames + 1
             ),
-            seen[of_best][2],
+            seen[of_best][1],
         )
 
     def also_found(self, rivals: Rivals, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
@@ -112,12 +111,12 @@ def _moving_as(best: FilterState, other: FilterState) -> FilterState:
 
 
 def _likelihoods(
-    methods: Methods, frames: Sequence[SensorFrame], poses: Sequence[RigidTransform]
+    methods: Methods, frames: Sequence[SensorFrame], found: Sequence[Registration]
 ) -> FloatArray:
-    """Return the log likelihoods of poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
+    """Return the log likelihoods at poses, shape (N,), each in its own de-skewed frame; 0 if unknown."""
     likelihoods = methods.likelihoods
     if likelihoods is None:
-        return np.zeros(len(poses))
+        return np.zeros(len(found))
     if methods.deskew is None:  # all frames are the same
-        return likelihoods(frames[0], poses)
-    return np.array([likelihoods(frame, [pose])[0] for frame, pose in zip(frames, poses, strict=True)])
+        return likelihoods(frames[0], found)
+    return np.array([likelihoods(frame, [each])[0] for frame, each in zip(frames, found, strict=True)])

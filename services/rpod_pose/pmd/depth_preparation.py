@@ -210,8 +210,9 @@ class PreparedAcquirer:
 def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
     """Return log likelihoods of frames behind the preparation; the first pose determines the multiple."""
 
-    def prepared(frame: PmdFrame, poses: Sequence[RigidTransform], /) -> FloatArray:
-        return likelihoods(preparation.predicted(frame, poses[0]), poses)
+    def prepared(frame: PmdFrame, found: Sequence[Registration], /) -> FloatArray:
+        assert found[0].T_sensor_target is not None  # noqa: S101 - a rival has a pose
+        return likelihoods(preparation.predicted(frame, found[0].T_sensor_target), found)
 
     return prepared
 

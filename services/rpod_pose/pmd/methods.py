@@ -22,7 +22,7 @@ from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
-from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_pose.ports import Acquirer, ComparingTracker, KindMethods, Methods, Task, Tracker
 from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.amplitude import EpnpConfig, HybridConfig
@@ -49,7 +49,7 @@ LEAST_BIAS_M = 0.001
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
-    if task.tracker is not None and task.sensor.tracking.kind == "joint":
+    if isinstance(task.tracker, ComparingTracker) and task.sensor.tracking.kind == "joint":
         return ViewSearch(config, task.target, task.tracker)
     finisher = joint(JointConfig(), task)
     return ViewSearch(config, task.target, TrackerAmongThings(finisher, frames_of(task.sensor), task.target))
@@ -113,11 +113,12 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
-    likelihoods = acquirer.log_likelihoods if isinstance(acquirer, ViewSearch) else None
     return Methods(
         PreparedAcquirer(AcquirerAmongThings(acquirer, tracker), preparation),
         PreparedTracker(tracker, preparation),
-        likelihoods=None if likelihoods is None else prepared_likelihoods(likelihoods, preparation),
+        likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
+        if isinstance(acquirer, ViewSearch)
+        else None,
     )
 
 

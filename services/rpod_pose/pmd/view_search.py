@@ -12,20 +12,19 @@
 The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
 until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
-The weights of the hypotheses follow from their losses. The tracker aligns the likely rivals as well, and they
-are compared again, because a pose that was not aligned does not show yet how well it explains the frame. A
-rival is excluded if its loss is too great before and after the alignment, or if the tracker refuses it. If
-the alignment leads it beside the best pose, the one that explains the frame clearly better is taken, and the
-covariance contains the distance of the two, as far as both are likely. A rival stays if the shape alone
-prefers it clearly: a user knows the materials only roughly. An alignment that leads away from a pose that
-explains the frame much better is refused: it ended in a false minimum. If a refused pose explains the frame
-much better than the accepted ones, none is accepted: the right pose may not be among them. If the tracker
-refuses all likely poses, the next ones are tried in turn.
+The tracker aligns the likely rivals as well, because a pose that was not aligned does not show yet how well
+it explains the frame. A rival is excluded if the tracker refuses it. If the alignment leads it beside another
+pose, the one that explains the frame clearly better is taken, and the covariance contains the distance of the
+two, as far as both are likely. The weights of the poses that are left follow from their likelihoods in the
+whole frame: all its pixels, with the brightness of each face free (``joint.brightness_fit``). The coarse
+pixels of the search do not show the details that distinguish turned poses, and a user knows the materials
+only roughly. An alignment that leads away from a pose that explains the frame much better is refused: it
+ended in a false minimum. If a refused pose explains the frame much better than the accepted ones, none is
+accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
+tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
-Then the shape alone must distinguish poses: the best is accepted only if all others are much worse; otherwise
-the result is ambiguous.
 """
 
 from collections.abc import Sequence
@@ -33,7 +32,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri, logit, softmax
 
@@ -43,14 +41,14 @@ from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
 from rpod_pose.pmd.joint.expected_edges import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
-from rpod_pose.ports import Acquisition, Outcome, Registration, Tracker, WholeFrameTracker
+from rpod_pose.ports import Acquisition, ComparingTracker, Outcome, Registration, WholeFrameTracker
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import belief_with_rivals, rivals
 from rpod_pose.search.turns import matrices
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
-from rpod_schemas.poses import pose_of, rotation_matrix
+from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
@@ -108,7 +106,9 @@ class ViewSearch:
         rpod_target.TargetError: the target has no distance field.
     """
 
-    def __init__(self, config: PmdAcquisitionConfig, target: Target, tracker: Tracker[PmdFrame]) -> None:
+    def __init__(
+        self, config: PmdAcquisitionConfig, target: Target, tracker: ComparingTracker[PmdFrame]
+    ) -> None:
         self._config, self._tuning = config, config.tuning
         self._model, self._tracker = Model.of(target, config.tuning), tracker
 
@@ -120,18 +120,9 @@ class ViewSearch:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
-    def log_likelihoods(self, measurement: PmdFrame, poses: Sequence[RigidTransform]) -> FloatArray:
-        """Return the log likelihoods of a frame under poses, shape (N,), up to a constant: ports.Likelihoods.
-
-        They are 0 where the frame shows too little. The materials are those of the target file.
-        """
-        tuning = self._tuning
-        scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
-        if isinstance(scene, str):
-            return np.zeros(len(poses))
-        fitter = PmdFitter(tuning.model, self._model.shown, scene)
-        losses = [fitter.fit(rotation_matrix(pose), pose.translation).loss for pose in poses]
-        return -np.array(losses) * tuning.independent_pixels / max(int(np.count_nonzero(scene.lit)), 1)
+    def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of a frame at registered poses, shape (N,): ports.Likelihoods."""
+        return self._tracker.log_likelihoods(measurement, found)
 
     def _found(self, measurement: PmdFrame, around: FloatArray | None) -> Acquisition:
         tuning = self._tuning
@@ -173,14 +164,11 @@ class ViewSearch:
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
-        believed = self._merged(believed, per_loss)
+        believed, logs = self._weighed(task.frame, self._merged(believed, per_loss))
         best, least = believed[0], tuning.ambiguous_weight
         if better := self._better(best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
-        logs = per_loss * np.array([(best.losses - each.losses).max() for each in believed])
-        if known_materials:
-            logs[self._preferred_by_shape(task, believed)] = 0.0
         found = rivals(believed, logs, self._model.turns.exact)
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
@@ -205,6 +193,12 @@ class ViewSearch:
             merged.append(replace(best, registration=registration, losses=losses.min(axis=0)))
         return merged
 
+    def _weighed(self, frame: PmdFrame, poses: list[_Aligned]) -> tuple[list[_Aligned], FloatArray]:
+        """Return poses, likeliest first, and their log likelihoods by the whole frame, best 0."""
+        logs = self._tracker.log_likelihoods(frame, [pose.registration for pose in poses])
+        order = np.argsort(-logs, kind="stable")
+        return [poses[index] for index in order], logs[order] - logs.max()
+
     def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
         """Return the mean square of (dp, dtheta) from one pose to several with weights, (6, 6), m and rad."""
         middle, alike = pose_of(best.R, best.t), self._model.target.equivalence
@@ -225,18 +219,6 @@ class ViewSearch:
         near = self._model.turns.close(matrices([best]), matrices(refused), self._tuning.distinct_deg)[0]
         better = gains > np.where(near, MOST_DROP_LOG, logit(self._tuning.ambiguous_weight))
         return refused[int(better.argmax())].registration.belief.reason if better.any() else ""
-
-    def _preferred_by_shape(self, task: _Task, poses: list[_Aligned]) -> NDArray[np.bool_]:
-        """Return which poses the shape alone prefers clearly to the first, shape (N,)."""
-        tuning = self._tuning
-        if len(poses) == 1:
-            return np.zeros(1, np.bool_)
-        fitter = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=False)
-        fits = [fitter.fit(pose.R, pose.shown_t) for pose in poses]
-        losses = np.array([fit.loss for fit in fits])
-        logs = (losses[0] - losses) * tuning.independent_pixels_of_shape / max(fits[0].pixels, 1)
-        preferred: NDArray[np.bool_] = logs > CLEAR_LOG
-        return preferred
 
     def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> _Aligned:
         """Return a pose that the search found, aligned by the tracker.

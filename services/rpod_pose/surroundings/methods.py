@@ -1,5 +1,6 @@
 """A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Generic
 
@@ -8,13 +9,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
-from rpod_pose.ports import Acquirer, Acquisition, Outcome, Registration, Tracker
+from rpod_pose.ports import Acquirer, Acquisition, ComparingTracker, Outcome, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
 from rpod_pose.unwanted import step
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Source
 from rpod_target import Target
 
@@ -108,6 +110,12 @@ class TrackerAmongThings(Generic[FrameT]):
         margin = self._margin(Registration.none(Source.NONE, ""), MARGINS[0])
         sight = with_target_at(image, self.target, T_sensor_target, margin)
         return _unlike(sight, self._most_unexplained(image, T_sensor_target))
+
+    def log_likelihoods(self, measurement: FrameT, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of one frame at registered poses; 0 if the tracker compares none."""
+        if not isinstance(self._tracker, ComparingTracker):
+            return np.zeros(len(found))
+        return self._tracker.log_likelihoods(measurement, found)
 
     def left_by(self, image: RangeImage, found: Registration) -> Sight:
         """Return what a found pose leaves of a frame, at the widest margin."""

@@ -61,21 +61,21 @@ class Aligned(NamedTuple):
         away = step_between(*(pose_of(*each.fit.state.pose) for each in (self, other)))
         return self._replace(spread=expit(-more_loss) * np.outer(away, away))
 
-    @property
-    def depth_loss(self) -> float:
-        """Minus the log likelihood of the depth, up to a constant.
 
-        The points count as at most ``most_points`` independent ones, as in the alignment.
-        """
-        points, errors = self.last.points, self.last.depth_errors
-        whole = float(points.trust.sum())
-        if not whole:
-            return 0.0
-        variance = max(errors.noise_m**2, errors.spread_m2) + errors.uneven_m**2 + errors.slack_m**2
-        most = MOST_SIGMAS * float(np.sqrt(variance))
-        near = add_depth_points(no_sums(), points, self.last.planes, self.fit.state, self.last.field, most)
-        squares = near.squares_m2 + (whole - near.trusted) * most**2
-        return 0.5 * min(errors.most_points, whole) * squares / (whole * variance)
+def depth_loss(problem: JointProblem, state: State) -> float:
+    """Return minus the log likelihood of the depth at a pose, up to a constant.
+
+    The points count as at most ``most_points`` independent ones, as in the alignment.
+    """
+    points, errors = problem.points, problem.depth_errors
+    whole = float(points.trust.sum())
+    if not whole:
+        return 0.0
+    variance = max(errors.noise_m**2, errors.spread_m2) + errors.uneven_m**2 + errors.slack_m**2
+    most = MOST_SIGMAS * float(np.sqrt(variance))
+    near = add_depth_points(no_sums(), points, problem.planes, state, problem.field, most)
+    squares = near.squares_m2 + (whole - near.trusted) * most**2
+    return 0.5 * min(errors.most_points, whole) * squares / (whole * variance)
 
 
 def likeliest(

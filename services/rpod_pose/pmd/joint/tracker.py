@@ -13,7 +13,7 @@ agree, but the edges do not. If one image shows nothing of the target, only the 
 of the pose names it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import radians
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.joint.alternatives import Aligned, likeliest
+from rpod_pose.pmd.joint.alternatives import Aligned, depth_loss, likeliest
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief
 from rpod_pose.pmd.joint.depth_points import Planes
@@ -160,6 +160,26 @@ class JointTracker:
             (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
         )
 
+    def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of one frame at registered poses: ports.ComparingTracker.
+
+        The depth and the whole image count, with the brightness of each face free (``brightness_fit``).
+        """
+        states = [
+            State(PoseArrays.of(each.T_sensor_target), each.range_bias_m)
+            for each in found
+            if each.T_sensor_target is not None
+        ]
+        middle = states[0].pose.t
+        seen = JointFrame.of(measurement, middle, radius_m=self._target.radius_m, tuning=self._tuning)
+        if isinstance(seen, str):
+            return np.zeros(len(states))
+        sight = self._sight(seen, states[0].pose)
+        problem = self._problem(seen, sight, self._near[-1:], self._edge_errors)
+        problems = [near_the_pose(problem, self._planes(seen, state.pose)) for state in states]
+        losses = [self._loss_at(seen, *each) for each in zip(states, problems, strict=True)]
+        return -np.array(losses)
+
     def _likeliest(self, seen: JointFrame, predicted: PoseArrays, tried: "_Tried") -> Registration:
         """Return the registration of the likeliest pose around one that is far from its prediction."""
         aligned, found = tried
@@ -249,8 +269,11 @@ class JointTracker:
 
     def _loss(self, seen: JointFrame, aligned: Aligned) -> float:
         """Return minus the log likelihood of an alignment, by its depth and the whole image."""
-        pose = aligned.fit.state.pose
-        return aligned.depth_loss + self._renderer.misfit(seen.rays, seen.per_px, pose, seen.patch)
+        return self._loss_at(seen, aligned.fit.state, aligned.last)
+
+    def _loss_at(self, seen: JointFrame, state: State, problem: JointProblem) -> float:
+        misfit = self._renderer.misfit(seen.rays, seen.per_px, state.pose, seen.patch)
+        return depth_loss(problem, state) + misfit
 
     def _aligned_by(
         self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray, errors: EdgeErrors

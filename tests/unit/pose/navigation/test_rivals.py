@@ -73,8 +73,8 @@ class Scene:
         belief = contradicted("another frame's") if refused else Belief()
         return Registration(Source.PMD_JOINT, predicted, belief, covariance=COVARIANCE)
 
-    def likelihoods(self, view: View, poses: list[RigidTransform]) -> np.ndarray:
-        return -view.per_turn * np.array([angle_deg(pose) for pose in poses]) / 180.0
+    def likelihoods(self, view: View, found: list[Registration]) -> np.ndarray:
+        return -view.per_turn * np.array([angle_deg(each.T_sensor_target) for each in found]) / 180.0
 
     def see(self, time_s: float, **shown: object):
         view = View(round(time_s * SECOND_NS), **shown)

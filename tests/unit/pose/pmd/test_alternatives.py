@@ -14,6 +14,7 @@ from rpod_pose.pmd.joint.alternatives import (
     PATIENCE,
     START_PX,
     Aligned,
+    depth_loss,
     likeliest,
     start_steps,
 )
@@ -102,8 +103,10 @@ def test_triangles_of_one_plane_and_one_material_are_one_face() -> None:
 
 
 def test_depth_off_the_surface_costs_likelihood() -> None:
-    at_truth, aside = aligned(TRUTH), aligned(off(TRUTH, 0.0, 0.05, 1))
-    assert 0.0 < at_truth.depth_loss < aside.depth_loss
+    at_truth, aside = (
+        depth_loss(each.last, each.fit.state) for each in (aligned(TRUTH), aligned(off(TRUTH, 0.0, 0.05, 1)))
+    )
+    assert 0.0 < at_truth < aside
 
 
 def test_an_alignment_as_likely_is_among_the_errors_of_another() -> None:
