@@ -108,7 +108,7 @@ class Rivals(NamedTuple):
         others = f", turned by {angles} deg from the best" if angles else ""
         return (
             f"{len(self.tracks)} rival{'s are' if others else ' is'} tracked in parallel{others}: "
-            f"the best has weight {self.weights[0]:.3f}, {self.needed:g} needed"
+            f"the best has weight {self.weights[0]:.3f}, {self.needed:g} needed; {REMEDY}"
         )
 
     @property
@@ -138,6 +138,11 @@ class Rivals(NamedTuple):
         return self._replace(tracks=distinct((*self.tracks, *new), alike))
 
 
+REMEDY = (
+    "show another side or come nearer; a turn that does not matter may stand as exact among the symmetries "
+    "of the target file"
+)
+"""What an operator can do where rivals remain."""
 UNLISTED = log(1e-3)
 """Log likelihood of a pose that a search does not list, relative to its best (``hypotheses.NEGLIGIBLE``).
 Numerics: the least weight that a search lists."""

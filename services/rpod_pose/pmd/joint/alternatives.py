@@ -8,7 +8,7 @@ An alignment from a prediction some pixels off may end where edges meet their ne
 poses around its end, until no further start leads to a likelier pose.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -18,8 +18,9 @@ from scipy.special import chdtri, expit, ndtri, softmax
 from rpod_pose.pmd.joint.brightness_fit import MOST_SIGMAS
 from rpod_pose.pmd.joint.depth_points import add_depth_points
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem
+from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
-from rpod_pose.registration.lie_group import step_between, stepped
+from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped, turned
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_pose.search.even_samples import sobol
 from rpod_schemas.arrays import FloatArray
@@ -37,6 +38,13 @@ search for edges (3 px), and beyond the width of an edge."""
 SHIFT_SHARE = 0.3
 """Standard deviation of a start's shift along each axis, over the motion by its turn. Numerics: most starts
 are then as far away as by their turn alone."""
+EXPECTED_RISE = 3.0
+"""Mean rise of minus a log likelihood from its best pose to those of its covariance. Physics: half of the six
+degrees of freedom."""
+DRAWN = 8
+"""Number of poses that are drawn from a covariance. Numerics: a budget; a mean of eight is within a third."""
+DAMPED = 1e-9
+"""Share of its variances that is added to a covariance before its root. Numerics: rounding."""
 ALONE = np.zeros((6, 6))
 """Spread of an alignment without another one beside it."""
 
@@ -113,6 +121,47 @@ def likeliest(
         away = step_between(T_best, pose_of(*each.fit.state.pose))
         spread += weight * np.outer(away, away)
     return best._replace(spread=spread)
+
+
+def poses_of(found: Sequence[Registration]) -> list[PoseArrays]:
+    """Return the poses of registrations, each of which has one."""
+    return [PoseArrays.of(each.T_sensor_target) for each in found if each.T_sensor_target is not None]
+
+
+def log_likelihoods(found: Sequence[Registration], loss: Callable[[State], float]) -> FloatArray:
+    """Return the log likelihoods of one frame at registered poses, shape (N,), up to a constant.
+
+    The losses compare the image as if model, lens and rendering were right to a fraction of a pixel. They are
+    not, and a pose is no better known than its covariance says. By a true log likelihood, a pose drawn from
+    its covariance differs from the likeliest by half a unit for each of the six parameters. Where the losses
+    differ more, the excess is error that no hypothesis explains. It is in both losses of a difference, so
+    that all losses are divided by twice this ratio.
+
+    Args:
+        found: the poses, each with its range bias and covariance.
+        loss: minus the log likelihood of a pose, which may be too steep.
+    """
+    biases_m = (each.range_bias_m for each in found)
+    states = [State(*each) for each in zip(poses_of(found), biases_m, strict=True)]
+    losses = np.array([loss(state) for state in states])
+    best = int(losses.argmin())
+    (R, t), bias_m = states[best]
+    ray, covariance = t / np.linalg.norm(t), found[best].covariance
+    root = np.linalg.cholesky(covariance + DAMPED * np.diag(np.diag(covariance)))
+    drawn = [
+        State(PoseArrays(turned(R, R.T @ step[3:]), t + step[:3]), bias_m - float(ray @ step[:3]))
+        for step in drawn_steps() @ root.T
+    ]
+    rises = np.array([loss(state) for state in drawn]) - losses[best]
+    found_logs: FloatArray = -losses / max(2.0 * float(np.sqrt((rises**2).mean())) / EXPECTED_RISE, 1.0)
+    return found_logs
+
+
+@cache
+def drawn_steps() -> FloatArray:
+    """Return standard normal steps in six dimensions, shape (``DRAWN``, 6), always the same."""
+    steps: FloatArray = ndtri(sobol(6, int(np.log2(DRAWN))))
+    return steps
 
 
 @cache

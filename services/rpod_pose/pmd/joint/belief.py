@@ -7,6 +7,7 @@ from rpod_pose.pmd.frame_check import Contradictions
 from rpod_pose.ports import PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
+from rpod_schemas.types import Source
 
 
 def frame_belief(
@@ -61,6 +62,13 @@ def edges_in_place(limits: JointAcceptanceConfig, *, edges: int, expected: float
         return 1.0
     expected = max(expected, 1.0)
     return edges / expected + 1.0 / math.sqrt(expected)
+
+
+def source_of(limits: JointAcceptanceConfig, *, points: int, edges: int) -> Source:
+    """Return the images by which a pose is measured, by its numbers of points and of places of edges."""
+    if edges < limits.min_edges:
+        return Source.PMD_DEPTH
+    return Source.PMD_JOINT if points >= limits.min_points else Source.PMD_AMPLITUDE
 
 
 def misplaced_edges(limits: JointAcceptanceConfig, in_place: float) -> str:

@@ -24,9 +24,9 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.joint.alternatives import Aligned, depth_loss, likeliest
+from rpod_pose.pmd.joint.alternatives import Aligned, depth_loss, likeliest, log_likelihoods, poses_of
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
-from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief
+from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief, source_of
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
@@ -163,22 +163,19 @@ class JointTracker:
     def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of one frame at registered poses: ports.ComparingTracker.
 
-        The depth and the whole image count, with the brightness of each face free (``brightness_fit``).
+        The depth and the whole image count, with the brightness of each face free (``brightness_fit``), as
+        far as the covariance of the likeliest pose lets them (``alternatives.log_likelihoods``).
         """
-        states = [
-            State(PoseArrays.of(each.T_sensor_target), each.range_bias_m)
-            for each in found
-            if each.T_sensor_target is not None
-        ]
-        middle = states[0].pose.t
-        seen = JointFrame.of(measurement, middle, radius_m=self._target.radius_m, tuning=self._tuning)
-        if isinstance(seen, str):
-            return np.zeros(len(states))
-        sight = self._sight(seen, states[0].pose)
-        problem = self._problem(seen, sight, self._near[-1:], self._edge_errors)
-        problems = [near_the_pose(problem, self._planes(seen, state.pose)) for state in states]
-        losses = [self._loss_at(seen, *each) for each in zip(states, problems, strict=True)]
-        return -np.array(losses)
+        pose = poses_of(found)[0]
+        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
+        if isinstance(seen, str) or len(found) == 1:
+            return np.zeros(len(found))
+        problem = self._problem(seen, self._sight(seen, pose), self._near[-1:], self._edge_errors)
+
+        def loss(state: State) -> float:
+            return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
+
+        return log_likelihoods(found, loss)
 
     def _likeliest(self, seen: JointFrame, predicted: PoseArrays, tried: "_Tried") -> Registration:
         """Return the registration of the likeliest pose around one that is far from its prediction."""
@@ -192,7 +189,7 @@ class JointTracker:
         errors = self._edge_errors._replace(merged=aligned.last.edge_errors.merged)
         best = likeliest(
             aligned,
-            loss=lambda each: self._loss(seen, each),
+            loss=lambda each: self._loss(seen, each.fit.state, each.last),
             aligned_from=lambda start: self._aligned_by(
                 seen, self._sight(seen, start.pose), start, schedule, errors
             ),
@@ -264,14 +261,12 @@ class JointTracker:
         poses = found.fit.state.pose, other.fit.state.pose
         if moved_px(*poses, self._target.radius_m, seen.lens.fx) < SAME_PX:
             return found
-        more = self._loss(seen, other) - self._loss(seen, found)
+        loss, least = (self._loss(seen, each.fit.state, each.last) for each in (other, found))
+        more = loss - least
         return found.beside(other, more) if more >= 0.0 else other.beside(found, -more)
 
-    def _loss(self, seen: JointFrame, aligned: Aligned) -> float:
-        """Return minus the log likelihood of an alignment, by its depth and the whole image."""
-        return self._loss_at(seen, aligned.fit.state, aligned.last)
-
-    def _loss_at(self, seen: JointFrame, state: State, problem: JointProblem) -> float:
+    def _loss(self, seen: JointFrame, state: State, problem: JointProblem) -> float:
+        """Return minus the log likelihood of a pose, by the depth of a problem and the whole image."""
         misfit = self._renderer.misfit(seen.rays, seen.per_px, state.pose, seen.patch)
         return depth_loss(problem, state) + misfit
 
@@ -338,7 +333,7 @@ class JointTracker:
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
         covariance, parts = self._uncertainty(seen, aligned)
-        both = (source := self._source(points, checked)) is Source.PMD_JOINT
+        both = (source := source_of(tuning.acceptance, points=points, edges=checked)) is Source.PMD_JOINT
         return Registration(
             source,
             T_sensor_target=pose_of(R, t),
@@ -396,11 +391,6 @@ class JointTracker:
     def _fills(self, seen: JointFrame) -> float:
         """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
         return self._radius_px(seen) / min(seen.view.camera.width, seen.view.camera.height)
-
-    def _source(self, points: int, edges: int) -> Source:
-        if edges < self._tuning.acceptance.min_edges:
-            return Source.PMD_DEPTH
-        return Source.PMD_JOINT if points >= self._tuning.acceptance.min_points else Source.PMD_AMPLITUDE
 
     def _buffers_of(self, view: DepthView) -> RenderBuffers:
         shape = view.coarse.shape

@@ -16,6 +16,7 @@ from rpod_pose.pmd.joint.alternatives import (
     Aligned,
     depth_loss,
     likeliest,
+    log_likelihoods,
     start_steps,
 )
 from rpod_pose.pmd.joint.brightness_fit import faces_of
@@ -23,11 +24,12 @@ from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays, step_between
 from rpod_schemas.config.pmd.joint import JointConfig
-from rpod_schemas.poses import make_pose
-from rpod_schemas.types import BeliefLevel
+from rpod_schemas.poses import make_pose, pose_of
+from rpod_schemas.types import BeliefLevel, Source
 from rpod_target import load_target
 
 TUNING = JointConfig().tuning
@@ -177,3 +179,24 @@ def test_starts_are_the_same_in_each_process() -> None:
     assert steps.shape == (MOST_STARTS, 2, 3)
     np.testing.assert_allclose(np.linalg.norm(steps[:, 1], axis=1), 1.0)
     assert np.abs(np.corrcoef(steps[:, 1].T)[np.triu_indices(3, 1)]).max() < 0.5
+
+
+SIGMAS = np.array([0.01, 0.01, 0.01, 0.005, 0.005, 0.005])
+"""Standard deviations of a registered pose, m and rad."""
+
+
+@pytest.mark.parametrize(("steeper", "kept"), [(0.1, 0.1), (0.5, 0.5), (100.0, 0.5)])
+def test_a_loss_that_is_steeper_than_the_covariance_is_no_more_evidence_than_this_tells(
+    steeper: float, kept: float
+) -> None:
+    """A pose drawn from the covariance costs 3 in the mean, for which half of a difference counts."""
+    poses = TRUTH, make_pose(translation_m=(3.0, 0.0, 0.0)) * TRUTH
+    found = [Registration(Source.PMD_JOINT, T, covariance=np.diag(SIGMAS**2)) for T in poses]
+
+    def loss(state: State) -> float:
+        near = min(poses, key=lambda T: float(np.linalg.norm(T.translation - state.pose.t)))
+        step = step_between(near, pose_of(*state.pose)) / SIGMAS
+        return steeper * (0.5 * float(step @ step) + 8.0 * (near is poses[1]))
+
+    logs = log_likelihoods(found, loss)
+    assert logs[0] - logs[1] == pytest.approx(8.0 * kept, rel=0.35)
