@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from rpod_driver.check.geometry import Fitted, fitted
 from rpod_driver.check.sightings import sightings_of
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
+from rpod_schemas.topics import TF_STATIC
 from rpod_schemas.types import Camera, PmdFrame
 
 SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
@@ -224,11 +226,12 @@ def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
 
 def test_where_no_frame_comes_the_publishers_that_are_there_are_named():
     observer = Observer("pmd", "front")
-    observer.take_tokens([("rosout", "::,"), ("frnt/depth/image_raw", "::,"), ("frnt/camera_info", "::,")])
+    names = "rosout", "frnt/depth/image_raw", "frnt/camera_info"
+    observer.take_tokens([(name, "::,", "other") for name in names])
     text = at(judge(observer.end(EPOCH_NS)), "publisher").text
     assert "nobody publishes front/depth/image_raw" in text
     assert "published are frnt/camera_info, frnt/depth/image_raw:" in text
-    observer.take_tokens([("front/depth/image_raw", "::,")])
+    observer.take_tokens([("front/depth/image_raw", "::,", "own")])
     assert "has a publisher, which sends nothing" in at(judge(observer.end(EPOCH_NS)), "publisher").text
 
 
@@ -243,6 +246,7 @@ def test_the_catalogue_names_lines_of_the_check():
     assert known_fault("frozen").name == "frozen"
 
 
+VOLATILE = replace(TF_STATIC, latched=False)
 BOTTLE = Path(__file__).parents[2] / "data" / "depth_bottle"
 
 
@@ -276,3 +280,13 @@ def test_latched_topics_without_a_token_of_their_publisher_are_not_said_to_be_in
     told = at(judge(seen), "qos")
     assert told.level is Level.UNCHECKED
     assert "tf_static" in told.text
+
+
+def test_a_volatile_tf_static_of_another_node_is_no_fault_of_a_sensor_whose_mount_is_known():
+    seen = watched("pmd", wall_frames(1, 3.0), INFO, latency_s=0.02, options=Options(rate_hz=10.0))
+    (offer,) = seen.qos["tf_static"]
+    volatile = offer._replace(qos=VOLATILE.offered.token(), session="another")
+    seen.qos["tf_static"].add(volatile)
+    assert at(judge(seen), "qos").level is Level.OK
+    seen.mounts.clear()  # now it may be the reason
+    assert at(judge(seen), "qos").faults == ("not_latched",)
