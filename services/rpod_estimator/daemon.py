@@ -20,6 +20,7 @@ from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import Reason
+from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import Target, load_target
 
@@ -48,7 +49,7 @@ def _serve(
     version: str,
     stop: Event,
 ) -> None:
-    with Node(config, version=version, stop=stop) as node:
+    with Node(config, version=version, stop=stop, sole=[STATUS.under(config.prefix)]) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
