@@ -86,6 +86,8 @@ class SensorBook:
         """Defect of its newest frame although it can be used; empty if there is none."""
         self.clock = ""
         """What its stamps and the arrival of its frames say against each other; empty if nothing."""
+        self.drift = ""
+        """How its clock drifts, if that is more than is declared; empty if it is not."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -153,7 +155,7 @@ class SensorBook:
         level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
         check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
-        text = "; ".join(filter(None, (latest.text, self.clock, self.defect, check)))
+        text = "; ".join(filter(None, (latest.text, self.clock, self.drift, self.defect, check)))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _doubtful(self, now_s: float) -> InputState:
@@ -163,10 +165,8 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if self.clock or self.defect:
-            return InputState(
-                Health.WARN, f"{self.name}: {'; '.join(filter(None, (self.clock, self.defect)))}"
-            )
+        if known := "; ".join(filter(None, (self.clock, self.drift, self.defect))):
+            return InputState(Health.WARN, f"{self.name}: {known}")
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")

@@ -17,6 +17,7 @@ from rpod_estimator.inputs.book import (
     unpaired,
     unused,
 )
+from rpod_estimator.inputs.refusals import Refusals
 from rpod_pose.navigation.first_pose.searches import RESTING
 from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
@@ -57,6 +58,8 @@ class InputHealth:
         self._state = OK
         self._pause_s = 0.0
         self._rival_topics: set[str] = set()
+        self.refusals = Refusals()
+        """Refused messages that are no frames."""
         self.rivals: list[tuple[str, Peer, Peer]] = []
         """Publishers beside the one that is used: topic, the one that is used, the other one."""
 
@@ -123,6 +126,7 @@ class InputHealth:
         rivals = self._rivals_state()
         self._log("publishers", rivals, now_s)
         states.append(rivals)
+        states += self.refusals.states(now_s)  # each is in the log, as any rejected message
         if self._pause_s:
             states.append(InputState(Health.OK, f"searches rest: one frame in {self._pause_s:.1f} s"))
         text = "; ".join(state.text for state in states if state.text)

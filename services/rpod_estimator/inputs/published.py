@@ -33,8 +33,13 @@ class Published:
                 self._sessions.pop(topic.name, None)
             return was_there and not sessions
 
-    def instead(self, awaited: str) -> str:
-        """Return what is published in place of an awaited topic, and what to do, for the operator."""
+    def instead(self, awaited: str, refused: str = "") -> str:
+        """Return what is published in place of an awaited topic, and what to do, for the operator.
+
+        ``refused`` is why the last message of the topic was refused; empty if none was.
+        """
+        if refused:
+            return f"messages on {awaited} come and are refused, {refused}; let its driver send them right"
         with self._lock:
             names = sorted(self._sessions)
         if awaited in names:
