@@ -74,7 +74,7 @@ def _serve(
                 for output in estimator.unreported(node.clock.settled_ns(), live):
                     service.publish(output)
                 bodies.update()
-                subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
+                subscriptions.report_health(estimator.mode)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
                 for each in readings:
                     each.take_until(arrived.stamp_ns)

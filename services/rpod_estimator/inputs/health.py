@@ -105,22 +105,25 @@ class InputHealth:
                 for name, value in sync.values(sensor).items():
                     self._health.tell(name, value)
 
-    def report(self, mode: Mode, now_s: float) -> None:
-        """Write level, message and counters into the diagnostics; log what is not used."""
+    def report(self, mode: Mode, now_s: float, bus_s: float | None = None) -> None:
+        """Write level, message and counters into the diagnostics; log what is not used.
+
+        ``bus_s`` is the time of the bus, if that is the time of the stamps, s.
+        """
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
-            self._state = self._update(now_s)
+            self._state = self._update(now_s, bus_s)
         level = max(self._state.level, Health.WARN if mode in (Mode.LOST, Mode.COASTING) else Health.OK)
         self._health.report(level, "; ".join(filter(None, (mode.name.lower(), self._state.text))))
 
-    def _update(self, now_s: float) -> InputState:
+    def _update(self, now_s: float, bus_s: float | None) -> InputState:
         states = []
         for sensor, book in self.books.items():
             self._health.put(f"inputs/{sensor}/used", book.used)
             for kind, frames in book.lost.items():
                 self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)
                 self._health.tell(f"input/{sensor}/{kind}", book.examples[kind])
-            state = book.state(now_s)
+            state = book.state(now_s, bus_s)
             self._log(sensor, state, now_s)
             states.append(state)
         rivals = self._rivals_state()

@@ -32,6 +32,7 @@ from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics
 from rpod_schemas.topics import DIAGNOSTICS, Topic
+from rpod_schemas.types import Mode
 
 log = logging.getLogger(__name__)
 
@@ -200,7 +201,7 @@ class Subscriptions:
                 )
         except MessageRejectedError as error:
             if leads:
-                self.health.books[sensor].note_arrival(received.arrival_s)
+                self._note_arrival(sensor, received, stamp_ns)
                 refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
                 self._refused.append(refused)
                 assembler.refuse(stamp_ns)
@@ -208,11 +209,20 @@ class Subscriptions:
             raise
         self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:
-            self.health.books[sensor].note_arrival(received.arrival_s)
+            self._note_arrival(sensor, received, stamp_ns)
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _note_arrival(self, sensor: str, received: Received, stamp_ns: int) -> None:
+        bus_s = stamp_ns / NANOSECONDS if self._in_lockstep else None
+        self.health.books[sensor].note_arrival(received.arrival_s, bus_s)
+
+    def report_health(self, mode: Mode) -> None:
+        """Write the health of the inputs into the diagnostics, by the time up to which all was processed."""
+        bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
+        self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
     def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
         watch = self._watches[sensor]
