@@ -1,5 +1,6 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
+import logging
 import time
 from contextlib import ExitStack
 from threading import Event
@@ -24,9 +25,14 @@ from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import Target, load_target
 
+log = logging.getLogger(__name__)
+
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     """Estimate until stopped."""
+    log.info(
+        "loading the target %s and the methods; the first start compiles, which takes longer", config.target
+    )
     with ExitStack() as stack:
         workers: dict[str, Worker] = {}
         if config.time_source == "wall":  # in lockstep, results must not depend on the machine's speed

@@ -32,6 +32,7 @@ from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
+    CONTRADICTION,
     DEPTH,
     DIAGNOSTICS,
     LIDAR_INFO,
@@ -979,6 +980,13 @@ def test_a_sensor_that_never_sends_is_told_with_what_is_awaited_and_what_is_publ
     assert "no sensor's topic is published" in said()
     bench.send_frame(NOW_NS)
     assert "awaited" not in said()
+
+
+def test_the_images_of_an_estimator_are_no_sensor_that_sends_instead():
+    bench = Bench()
+    bench.node.came("own", CONTRADICTION)
+    bench.arrived()
+    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].instead
 
 
 # --- refused messages that are no frames, in the message of the diagnostics ---
