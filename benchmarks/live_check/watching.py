@@ -24,7 +24,7 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_target import load_target
 
 AFTER_S = (2, 6, 20)
-"""Times after which the check is asked, s."""
+"""Times after which the check is asked, s; those beyond the recording tell the same as its end."""
 
 
 @dataclass
