@@ -186,8 +186,7 @@ def drift(seen: Observations) -> CheckResult:
     steps_s = np.sign(slope) * np.diff([part.min() for part in np.array_split(y_s, 3)])
     if abs(drift_ppm) > limit_ppm and steps_s.min() >= _EVEN * steps_s.max():
         return fail(line, text, "clock_drift", **figures)
-    if abs(drift_ppm) > limit_ppm:
-        return unchecked(line, f"{text}: not evenly, as a load does; watch for longer", **figures)
-    if limit_ppm > 4.0 * _DRIFT_PPM:
-        return unchecked(line, f"{text}: arrivals are too irregular; watch for longer", **figures)
+    if limit_ppm > 4.0 * _DRIFT_PPM or abs(drift_ppm) > limit_ppm:
+        why = "arrivals are too irregular, or a load moves them in steps"
+        return unchecked(line, f"{text}: {why}; watch for longer", **figures)
     return ok(line, text, **figures)
