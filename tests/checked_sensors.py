@@ -87,7 +87,8 @@ class Desk:
     def _send(self, made: Outgoing) -> None:
         place = made.topic.name, made.publisher
         self._sequences[place] += 1
-        self.observer.take_tokens([(made.topic.name, made.topic.offered.token())])
+        token = made.topic.name, made.topic.offered.token(), made.publisher or "own"
+        self.observer.take_tokens([token])
         if made.lost:
             return
         gid = f"{made.topic.name}{made.publisher}".encode()[-16:].rjust(16)

@@ -151,6 +151,7 @@ class Frame:
     """State, reason, levels and limits; None for an estimator that tells none."""
     latency_s: float = 0.06
     processing_s: float = 0.03
+    evidence: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -332,6 +333,7 @@ class _LogWriter:
             sensor=self.run.name,
             accepted=not frame.reason,
             reason=frame.reason,
+            evidence=frame.evidence,
             nis=frame.nis,
             processing_s=frame.processing_s,
         )

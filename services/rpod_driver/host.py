@@ -9,6 +9,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from pydantic import ValidationError
+
 from rpod_driver.commands import Commands
 from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
 from rpod_driver.ports import Counted, Driver, Synchronised
@@ -135,10 +137,11 @@ class Host:
         self._node.health.report(Health.OK, "the sensor delivers frames again")
 
     def _recover(self, error: Exception) -> None:
-        self._trouble = str(error) or type(error).__name__
+        before, self._trouble = self._trouble, told_of(error)
         self._node.health.count(f"failures/{self._config.name}")
         self._node.health.report(Health.ERROR, self._trouble)
-        expected = isinstance(error, OSError | DriverError)
+        # Of an error that nobody expects, the place in the code is told once.
+        expected = isinstance(error, OSError | DriverError) or self._trouble == before
         log.error("%s; connecting again in %g s", self._trouble, self._retry_s, exc_info=not expected)
         self._node.stop.wait(self._retry_s)
         self._retry_s = min(2.0 * self._retry_s, self._config.max_retry_s)
@@ -176,3 +179,14 @@ class Host:
         if len(arrivals_s) < 2 or arrivals_s[-1] <= arrivals_s[0]:
             return 0.0
         return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
+
+
+def told_of(error: Exception) -> str:
+    """Return an error in one line; of a frame or an info with wrong values, the fields."""
+    if isinstance(error, ValidationError):
+        wrong = [
+            f"{'.'.join(map(str, each['loc']))}: {each['msg'].removeprefix('Value error, ')}"
+            for each in error.errors(include_url=False, include_input=False)
+        ]
+        return f"{error.title}: {'; '.join(wrong)}"
+    return str(error) or type(error).__name__

@@ -1,5 +1,6 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
+import logging
 import time
 from contextlib import ExitStack
 from threading import Event
@@ -20,12 +21,18 @@ from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import Reason
+from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import Target, load_target
+
+log = logging.getLogger(__name__)
 
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     """Estimate until stopped."""
+    log.info(
+        "loading the target %s and the methods; the first start compiles, which takes longer", config.target
+    )
     with ExitStack() as stack:
         workers: dict[str, Worker] = {}
         if config.time_source == "wall":  # in lockstep, results must not depend on the machine's speed
@@ -48,7 +55,7 @@ def _serve(
     version: str,
     stop: Event,
 ) -> None:
-    with Node(config, version=version, stop=stop) as node:
+    with Node(config, version=version, stop=stop, sole=[STATUS.under(config.prefix)]) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
@@ -73,7 +80,7 @@ def _serve(
                 for output in estimator.unreported(node.clock.settled_ns(), live):
                     service.publish(output)
                 bodies.update()
-                subscriptions.health.report(estimator.mode, subscriptions.heard_until_s)
+                subscriptions.report_health(estimator.mode)
             for arrived in subscriptions.rest():  # each frame gets a status or is counted
                 for each in readings:
                     each.take_until(arrived.stamp_ns)

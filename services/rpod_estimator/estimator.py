@@ -293,5 +293,5 @@ class Estimator:
 
     def _log_change(self, before: Mode, output: Output) -> None:
         if output.status.mode != before:
-            reason = f": {output.status.reason}" if output.status.reason else ""
-            log.info("%s -> %s%s", before.name, output.status.mode.name, reason)
+            reason = output.lost or output.status.reason
+            log.info("%s -> %s%s", before.name, output.status.mode.name, f": {reason}" if reason else "")

@@ -15,7 +15,7 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -35,6 +35,8 @@ NICENESS = 10
 """Lower priority of a search: a tracked frame on a loaded machine does not wait for it."""
 RESTART_S = 3.0
 """About the time in which a process starts, imports and warms up, s."""
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that a terminal or a service manager sends to a whole group: the estimator heeds them."""
 _READY, _CANCEL = b"ready", b"cancel"
 _ENDED = "the process of the search has ended; it is started again after {:.0f} s"
 _LONGEST_PAUSE_S = 60.0
@@ -64,7 +66,12 @@ class SearchProcess:
         arguments = theirs, self._target, self._sensor, beside_tracking
         name = f"search-{self._sensor.name}"
         self._process = context.Process(target=serve, args=arguments, name=name, daemon=True)
-        self._process.start()
+        resource_tracker.ensure_running()  # its start would unblock the signals again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)  # the process inherits it
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self._is_ready = self._is_busy = False
         self._next: bytes | None = None
@@ -155,7 +162,9 @@ def serve(
         sensor: configuration of the sensor.
         beside_tracking: whether the start has the lower priority too.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the estimator ends this process
+    for each in _STOPS:
+        signal.signal(each, signal.SIG_IGN)  # the estimator ends this process
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     if beside_tracking:
         os.nice(NICENESS)
     target = load_target(target_name)

@@ -25,6 +25,17 @@ class NoRouterError(BusError):
         )
 
 
+class AlreadyRunningError(BusError):
+    """A service of this name is at work on the bus."""
+
+    def __init__(self, instance: str, uptime_s: float) -> None:
+        super().__init__(
+            f"another {instance!r} is at work on this bus, for {uptime_s:.0f} s: two would answer the same "
+            "queries and publish the same topics; stop it, or give this one another instance, prefix and "
+            "zenoh_id"
+        )
+
+
 class NotNeededError(BusError):
     """A process in reserve was stopped before its turn came."""
 

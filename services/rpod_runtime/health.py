@@ -29,6 +29,7 @@ class HealthBook:
         self._warning = ""
         self._alarms: dict[str, str] = {}
         self._told_s: dict[str, float] = {}
+        self._rejections: dict[str, str] = {}
         self._level, self._message = Health.OK, "starting"
         self._check: Callable[[], tuple[Health, str]] | None = None
         self._changed = True
@@ -62,12 +63,18 @@ class HealthBook:
         with self._lock:
             name = self._known(f"rejected/{topic}/{reason}", self._counters)
             self._counters[name] += 1
+            self._rejections[self._known(topic, self._rejections)] = str(rejection)
             told_s, now_s = self._told_s.get(name), time.monotonic()
             due = told_s is None or now_s - told_s >= _REMIND_S
             if due:
                 self._told_s[name] = now_s
             self._changed |= told_s is None
         return due
+
+    def rejection(self, topic: str) -> str:
+        """Return why the last rejected message of a topic was rejected; empty if none was."""
+        with self._lock:
+            return self._rejections.get(topic, "")
 
     def obey(self, verb: str, request: str, asker: str = "") -> None:
         """Count an accepted command and keep its text, so that a log shows which commands were given.

@@ -32,6 +32,7 @@ from rpod_runtime.process.reserve import await_turn
 from rpod_runtime.requests.asker import Asker
 from rpod_runtime.requests.control import Served
 from rpod_runtime.requests.identity import open_identity
+from rpod_runtime.requests.sole import be_sole
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters, flatten
@@ -59,9 +60,14 @@ _LINGER_S = 0.3
 
 
 class Node(Asker):
-    """Represents one process on the bus; a process in reserve waits here until its turn has come."""
+    """Represents one process on the bus; a process in reserve waits here until its turn has come.
 
-    def __init__(self, config: ServiceConfig, *, version: str, stop: Event | None = None) -> None:
+    With ``sole`` it must be the only service of its name, and the only one that publishes these topics.
+    """
+
+    def __init__(
+        self, config: ServiceConfig, *, version: str, stop: Event | None = None, sole: Sequence[Topic] = ()
+    ) -> None:
         self.config = config
         self.version = version
         self.stop = stop or Event()
@@ -78,7 +84,7 @@ class Node(Asker):
         self._delivery = Delivery(self._keys, self.health, self.account)
         self._started_s = time.monotonic()
         self._next_flow_s = self._started_s + _FLOW_PERIOD_S
-        self._entities = 0
+        self._entities, self._sole = 0, sole
         self._publishers: list[Publisher] = []
         self.parameters = Parameters({})
         """The node's parameters for ROS 2 tools, unless the configuration leaves them out."""
@@ -96,6 +102,8 @@ class Node(Asker):
             open_client(self.config.bus, zenoh_id=self.config.zenoh_id, stop=self.stop)
         )
         self._stack.callback(self.link.watch(self._session))
+        if self._sole:
+            self._stack.callback(be_sole(self, self._session, self.config, self._sole, self.health))
         self._graph = GraphNode(self._keys, str(self._session.zid()), self.config.instance)
         self._token(self._graph.node_token())
         self._diagnostics = self.publisher(DIAGNOSTICS)
@@ -200,8 +208,8 @@ class Node(Asker):
         )
         self._stack.callback(watcher.undeclare)
 
-    def watch_publisher_qos(self, tell: Callable[[tuple[str, str]], None]) -> None:
-        """Call ``tell`` with topic and quality of service of each publisher, from its liveliness token.
+    def watch_publisher_qos(self, tell: Callable[[tuple[str, str, str]], None]) -> None:
+        """Call ``tell`` with topic, quality of service and session of each publisher, by its token.
 
         It runs in the bus's thread, at once for the publishers that are there, then for those that come.
         """
@@ -210,7 +218,7 @@ class Node(Asker):
             key = str(token.key_expr)
             topic = topic_of_token(key, self._keys)
             if token.kind == zenoh.SampleKind.PUT and topic is not None:
-                tell((topic.name, qos_of_token(key)))
+                tell((topic.name, qos_of_token(key), session_of_token(key)))
 
         watcher = self._session.liveliness().declare_subscriber(
             publisher_tokens(self._keys), take, history=True
@@ -309,7 +317,7 @@ class Node(Asker):
         self._token(self._graph.endpoint_token("SS", self._entity(), service))
 
     def obeyed(self, verb: str, request: str) -> None:
-        """Keep a command of a ROS 2 client in the diagnostics, the log and the audit record."""
+        """Keep a command of a ROS 2 client in diagnostics, log and audit record."""
         self._identity.record(asker="a ROS 2 client", verb=verb, request=request, outcome="accepted")
         self.health.obey(verb, request)
 

@@ -8,12 +8,14 @@ from threading import Event
 from time import monotonic
 
 import numpy as np
+import pytest
 from live_bus import TIMEOUT_S, daemon, first
 from pmd_frames import frame_of
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.daemon import run
 from rpod_runtime import Inbox, Node
+from rpod_runtime.errors import AlreadyRunningError
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.config.estimator import EstimatorConfig, NavigatorConfig, PmdInput
 from rpod_schemas.config.pmd import PmdConfig
@@ -227,6 +229,32 @@ def test_two_estimators_run_side_by_side(bus):
         for listener in listeners:
             frames_until(camera, listener, Mode.TRACKING)
             assert first(listener.odometry, lambda received: read_odometry(received.decode()))
+
+
+def test_a_second_estimator_of_the_name_does_not_start_and_one_with_the_same_topics_is_told_by_both(bus):
+    listener = Listener(bus)
+    with daemon(run, config(bus, zenoh_id="e57a7e")):
+        assert told_by_estimator(listener, lambda item: item.level == Health.OK)
+        with pytest.raises(AlreadyRunningError, match="another 'estimator' is at work on this bus"):
+            run(config(bus, zenoh_id="e57a7e"), version="test", stop=Event())
+        with daemon(run, config(bus, zenoh_id="e57a7e", instance="other")):
+            for name in ("estimator", "other"):
+                told = first(
+                    listener.health,
+                    lambda received, name=name: [
+                        item
+                        for item in read_diagnostics(received.decode())
+                        if item.name == name and "second_service" in item.values
+                    ],
+                )
+                assert told, f"{name} says nothing"
+                text = told[0].values["second_service"]
+                assert "another service publishes estimate/status (session e57a7e" in text
+                assert "stop one of them, or give one another instance and prefix" in text
+                assert told[0].level == Health.WARN
+        assert told_by_estimator(listener, lambda item: "second_service" not in item.values)
+    with daemon(run, config(bus, zenoh_id="e57a7e")):  # a successor starts
+        assert told_by_estimator(listener, lambda item: item.level == Health.OK)
 
 
 def test_what_is_passed_over_is_counted_and_has_no_status(bus):

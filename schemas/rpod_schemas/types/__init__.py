@@ -6,6 +6,7 @@ nanoseconds of UTC since the Unix epoch (ICD section 1).
 
 from rpod_schemas.types.base import ZERO_6X6, Float32Array, Floats, Image, Model, Stamped
 from rpod_schemas.types.estimates import (
+    LOST_AFTER_S,
     BeliefLevel,
     EstimateValidity,
     EstimatorStatus,
@@ -24,6 +25,7 @@ from rpod_schemas.types.pmd import PmdFrame, PmdInfo
 __all__ = [
     "CLOSING",
     "LENS_COEFFICIENTS",
+    "LOST_AFTER_S",
     "PUBLISHED",
     "SYNC",
     "ZERO_6X6",

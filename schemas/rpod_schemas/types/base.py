@@ -16,13 +16,17 @@ ZERO_6X6 = np.zeros((6, 6))
 
 def _as_float32(value: Any) -> Float32Array:
     if not isinstance(value, np.ndarray) or value.dtype != np.float32:
-        raise ValueError("needs a float32 array")
+        given = f"of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        raise ValueError(f"is {given}, needs an array of float32: np.asarray(..., np.float32)")
     return value
 
 
 def _as_image(value: Any) -> NDArray[Any]:
     if not isinstance(value, np.ndarray) or value.ndim != 2:
-        raise ValueError("needs a two-dimensional array")
+        given = (
+            f"has shape {value.shape}" if isinstance(value, np.ndarray) else f"is a {type(value).__name__}"
+        )
+        raise ValueError(f"{given}, needs an array of shape (height, width)")
     return value
 
 

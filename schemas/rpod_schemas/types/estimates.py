@@ -26,6 +26,11 @@ class Mode(IntEnum):
         return self in (Mode.TRACKING, Mode.COASTING)
 
 
+LOST_AFTER_S = "lost_after_s"
+"""Name in the evidence of an accepted frame before which the track was lost, since its covariance was beyond
+the alert limit: the time for which no measurement had been accepted."""
+
+
 class Source(IntEnum):
     """Source of the measured pose (EstimatorStatus.msg)."""
 

@@ -65,6 +65,7 @@ class Progress:
         self._inbox = Inbox()
         self._scenario: Scenario | None = None
         self._alike = NO_SYMMETRY
+        self._rate_unit = "Hz"
         self._said = ""
         self._printed: set[str] = set()
         self._plain_s = 0.0
@@ -89,9 +90,10 @@ class Progress:
         else:
             self._console.print(f"{text} ...", style="dim")
 
-    def watch(self, node: Node, scenario: Scenario) -> None:
-        """Subscribe to the messages of a run."""
+    def watch(self, node: Node, scenario: Scenario, *, lockstep: bool = False) -> None:
+        """Subscribe to the messages of a run; in lockstep, rates by the wall clock are not the sensors'."""
         self._scenario, self._alike = scenario, load_equivalence(scenario.target)
+        self._rate_unit = "frames a second of real time" if lockstep else "Hz"
         for topic in (TF, STATUS, DIAGNOSTICS):
             node.subscribe(topic, self._inbox.put)
 
@@ -171,7 +173,8 @@ class Progress:
         duration_s = scenario.duration_s if scenario else 0.0
         mode = seen.mode.name if seen.mode is not None else "-"
         rates = (
-            "  ".join(f"{sensor} {rate:.1f} Hz" for sensor, rate in seen.rates_hz.items()) or "no frames yet"
+            "  ".join(f"{sensor} {rate:.1f} {self._rate_unit}" for sensor, rate in seen.rates_hz.items())
+            or "no frames yet"
         )
         return [
             Text(f"{min(elapsed_s, duration_s):5.1f} / {duration_s:g} s"),

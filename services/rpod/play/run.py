@@ -110,7 +110,7 @@ def play(
         if view:
             services.start(_VIEW, facility.view, optional=True)
         with _client(services, facility, interrupted) as node:
-            progress.watch(node, scenario)
+            progress.watch(node, scenario, lockstep=speed == "max")
             _await_ready(node, services, facility, interrupted, progress)
             player = FaultPlayer(node, services, scenario)
             epoch_ns = _start(node, scenario, speed)

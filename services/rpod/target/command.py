@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from rpod.steps import Steps
 from rpod_analysis.target_check import TargetCheck, check_target, checked_symmetries, write_page
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_target import Target, TargetError, load_target
@@ -19,13 +20,11 @@ from rpod_target.mesh.files import FORMATS, METRIC
 
 def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: bool) -> int:
     """Write a parameter file from a CAD file; return the exit code."""
+    out = out or Path(f"{cad.stem}.yaml")
     try:
-        made = draft(
-            cad,
-            out or Path(f"{cad.stem}.yaml"),
-            _asked(cad, options, as_json=as_json),
-            symmetries=checked_symmetries,
-        )
+        asked = _asked(cad, options, as_json=as_json)
+        with Steps(quiet=as_json) as steps:
+            made = draft(cad, out, asked, symmetries=checked_symmetries, say=steps.say)
     except TargetError as error:
         print(f"rpod target new: {error}", file=sys.stderr)
         return EXIT_USAGE

@@ -3,7 +3,7 @@
 The domain types are not used, because they take ten times as long as the decoding.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from rpod_analysis.log import Log, Logged
@@ -18,6 +18,7 @@ from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometr
 from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.summary import MountDifference
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
+from rpod_schemas.types import LOST_AFTER_S
 
 _LATEST_NS = 2**63 - 1
 """Latest time that a table holds, ns; a log may say later ones."""
@@ -96,11 +97,11 @@ class Reader:
 
     def _take_status(self, logged: Logged) -> None:
         status = logged.decode()
-        read_status(status)
+        read = read_status(status)
         self.found.statuses.add(
             (
                 read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
-                status.processing_s, status.sensor, status.reason,
+                status.processing_s, status.sensor, status.reason or _lost(read.evidence),
             )
         )  # fmt: skip
 
@@ -133,3 +134,13 @@ class Reader:
             self.found.frames.add((peek_stamp(logged.payload), sensor, min(logged.log_ns, _LATEST_NS)))
 
         return take
+
+
+def _lost(evidence: Mapping[str, float]) -> str:
+    """Return why a track was lost before an accepted frame that begins it again; empty if it was not."""
+    if (after_s := evidence.get(LOST_AFTER_S)) is None:
+        return ""
+    return (
+        f"the track was lost: no measurement was accepted for {after_s:.2f} s, and the covariance of the "
+        "prediction was beyond the alert limit; this frame begins it again"
+    )

@@ -38,6 +38,18 @@ _OTHERS = "other reasons"
 _AXES = ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m")
 
 
+_ACCEPTED = {
+    (Mode.ACQUIRING, Mode.VERIFYING): "a first pose was found",
+    (Mode.ACQUIRING, Mode.TRACKING): "a first pose was found and verified",
+    (Mode.VERIFYING, Mode.TRACKING): "the next frames agree with the pose",
+    (Mode.COASTING, Mode.TRACKING): "a measurement agrees with the prediction",
+    (Mode.LOST, Mode.VERIFYING): "the target was found again",
+    (Mode.TRACKING, Mode.VERIFYING): "the track was lost and begun again by one frame",
+    (Mode.COASTING, Mode.VERIFYING): "the track was lost and begun again by one frame",
+}
+"""What the accepted measurement of a frame means for a change of the navigator's state."""
+
+
 @dataclass(frozen=True)
 class Change:
     """A change of the navigator's state."""
@@ -48,6 +60,11 @@ class Change:
     after: Mode
     reason: str
     """Reason in the status of that frame; empty if its measurement was accepted."""
+
+    @property
+    def told(self) -> str:
+        """Reason in words: that of the status, else what an accepted measurement means for this change."""
+        return self.reason or _ACCEPTED.get((self.before, self.after), "a measurement was accepted")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF_STATIC
+from rpod_schemas.types import Health
 
 LEAST_FRAMES = 8
 """Number of frames from which on times between them are checked."""
@@ -54,7 +55,9 @@ def _published_instead(seen: Observations) -> str:
     topics = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source)
     wanted = topics[seen.leading].name
     if wanted in seen.qos:
-        return f"{wanted} has a publisher, which sends nothing"
+        troubles = [each for each in seen.diagnostics.values() if each.level is Health.ERROR]
+        said = "".join(f"; {each.name} says: {each.message}" for each in troubles[:_MOST_NAMED])
+        return f"{wanted} has a publisher, which sends nothing{said}"
     rest = sorted(set(seen.qos) - _OF_EACH_NODE)
     if not rest:
         return "no sensor is on this bus"

@@ -80,6 +80,8 @@ def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResu
         return _without_truth(
             results, "no truth came" if given else "needs the target's surface and truth: give --target"
         )
+    if reason := _other_time(results):
+        return _without_truth(results, reason)
     reason, sightings, T_chaser_sensor = sightings_of(seen, surface, seen.truth, gap_s=_TRUTH_GAP_S)
     if reason:
         return _without_truth(results, reason)
@@ -100,6 +102,16 @@ def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResu
         new.pop(each.line) if each.line in new and _adds(new[each.line], each) else each for each in results
     ]
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
+
+
+def _other_time(results: list[CheckResult]) -> str:
+    """Return why frames cannot be compared with truth at their stamps; empty if they can."""
+    for each in results:
+        if each.line == "clock" and each.level is Level.FAIL:
+            off_s = max(-each.figures["least_age_s"], each.figures["least_age_s"])
+            if off_s > _IMPLAUSIBLE * _PRIOR[0]:
+                return f"the stamps are {off_s:.1f} s off: correct the clock first"
+    return ""
 
 
 def _adds(new: CheckResult, old: CheckResult) -> bool:

@@ -19,7 +19,7 @@ def watch(node: Node, observer: Observer, *, duration_s: float, stop: Event) -> 
     inbox = Inbox(capacity=20_000)
     for topic in (*observer.latched, *observer.streams, *observer.others):
         node.subscribe(topic, inbox.put)
-    tokens: list[tuple[str, str]] = []
+    tokens: list[tuple[str, str, str]] = []
     node.watch_publisher_qos(tokens.append)
     node.ready(f"watching {observer.seen.name} for {duration_s:g} s")
     end_s = time.monotonic() + duration_s
@@ -54,5 +54,5 @@ class StraightPublisher:
         now_ns = time.time_ns()
         attachment = Attachment(self._sequence, now_ns, self._topic.name.encode()[-16:].rjust(16))
         payload = memoryview(bytes(encode(message)))
-        self._observer.take_tokens([(self._topic.name, self._topic.offered.token())])
+        self._observer.take_tokens([(self._topic.name, self._topic.offered.token(), "driver")])
         self._observer.take(Received(self._topic, "", payload, attachment, now_ns, session="driver"))

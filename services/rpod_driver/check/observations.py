@@ -74,6 +74,15 @@ class Kept(NamedTuple):
     """Encoding of an image; empty for points."""
 
 
+class Offer(NamedTuple):
+    """Quality of service of one publisher, by its liveliness token."""
+
+    qos: str
+    """As rmw_zenoh writes it."""
+    session: str
+    """Zenoh identity of its session; empty if it is unknown."""
+
+
 @dataclass(frozen=True)
 class Options:
     """Facts about a sensor that its messages do not tell."""
@@ -113,8 +122,8 @@ class Observations:
     """Lenses, each time one came that differs from the one before."""
     mounts: list[tuple[Peer, str, str, Any]] = field(default_factory=list)
     frame_ids: set[str] = field(default_factory=set)
-    qos: dict[str, set[str]] = field(default_factory=dict)
-    """Qualities of service of the publishers' tokens, by topic; also of topics of other nodes."""
+    qos: dict[str, set[Offer]] = field(default_factory=dict)
+    """What publishers' tokens offer, by topic; also of topics of other nodes."""
     truth: list[Odometry] = field(default_factory=list)
     estimates: list[Odometry] = field(default_factory=list)
     """Poses by the estimator of another sensor."""
@@ -152,6 +161,11 @@ class Observations:
     def info(self) -> Any:
         """Last info of the sensor; None if none came."""
         return self.infos[-1][1] if self.infos else None
+
+    @property
+    def sessions(self) -> set[str]:
+        """Sessions of the publishers of the frames."""
+        return {heard.peer.session for heard in self.heard}
 
     def extrinsics(self) -> Extrinsics:
         """Return the mounts that were announced."""
@@ -212,10 +226,10 @@ class Observer:
         except MessageRejectedError as error:
             self.seen.refused.append((error.reason, f"{name}: {error.text}"))
 
-    def take_tokens(self, tokens: Iterable[tuple[str, str]]) -> None:
-        """Take topic and quality of service of publishers' tokens, of all nodes on the bus."""
-        for topic, qos in tokens:
-            self.seen.qos.setdefault(topic, set()).add(qos)
+    def take_tokens(self, tokens: Iterable[tuple[str, str, str]]) -> None:
+        """Take topic, quality of service and session of publishers' tokens, of all nodes on the bus."""
+        for topic, qos, session in tokens:
+            self.seen.qos.setdefault(topic, set()).add(Offer(qos, session))
 
     def _take_truth(self, received: Received) -> None:
         stamp_ns = peek_stamp(received.payload)

@@ -16,13 +16,18 @@ from rpod_schemas.arrays import MAD_TO_SIGMA
 from rpod_schemas.types import Camera, PmdFrame
 
 Points = NDArray[np.float64]
-_FRAMES, _PIXELS, _TRIALS = 6, 4000, 200
+_FRAMES, _PIXELS, _TRIALS = 12, 4000, 200
 _LEAST_SHARE = 0.1
 """Share of a frame's pixels that make a plane."""
 _NOISES = 3.0
 """Distance of a plane's points from it, over their noise."""
 _CONTRAST = 0.5
 """Least curvature under the wrong meaning, over the noise, that is visible."""
+_CURVED = 0.25, 2.0
+"""Limits of the difference of both mean squares, over the squared curvature of a plane that is read wrongly:
+a plane has 1. Beyond them the surface is no plane, or its noise hides the difference."""
+_LEAST_FRAMES, _AGREE = 3, 0.8
+"""Number of frames that show a plane, and share of them that agree: neighbours show the same place."""
 
 
 def depth_model(seen: Observations) -> CheckResult:
@@ -32,19 +37,26 @@ def depth_model(seen: Observations) -> CheckResult:
     if not frames:
         return unchecked(line, "no frame with a depth image could be read")
     few = frames[:: len(frames) // _FRAMES + 1]
-    found = [result for frame in few if (result := _flatness(frame)) is not None]
-    if 2 * len(found) < len(few) or not found:
-        return unchecked(line, "no plane wide enough for its noise is in view; show it a wall")
-    as_z, as_radial, contrast = np.median(np.array(found), axis=0)
+    flatness = [result for frame in few if (result := _flatness(frame)) is not None]
+    found = np.array([each for each in flatness if _CURVED[0] < abs(_curved(*each)) < _CURVED[1]])
+    if len(found) < _LEAST_FRAMES:
+        text = f"{len(found)} of {len(few)} frames show a plane wide enough for its noise"
+        return unchecked(line, f"{text}, {_LEAST_FRAMES} are needed; show it a wall")
+    as_z, as_radial, _ = np.median(found, axis=0)
     figures = {"rms_z_m": float(as_z), "rms_radial_m": float(as_radial)}
     text = (
         f"the plane in view is flat to {1e3 * as_z:.1f} mm as z-depth, "
         f"{1e3 * as_radial:.1f} mm as radial depth"
     )
-    clear = abs(as_radial**2 - as_z**2) > (0.5 * contrast) ** 2
-    if not clear:
-        return unchecked(line, f"{text}: no clear difference; show it a wall", **figures)
-    return fail(line, text, "radial_depth", **figures) if as_z > as_radial else ok(line, text, **figures)
+    radial = float(np.mean(found[:, 0] > found[:, 1]))
+    if max(radial, 1.0 - radial) < _AGREE:
+        return unchecked(line, f"{text}: frames do not agree; show it a wall", **figures)
+    return fail(line, text, "radial_depth", **figures) if radial > _AGREE else ok(line, text, **figures)
+
+
+def _curved(as_z: float, as_radial: float, contrast: float) -> float:
+    """Return how much flatter a surface is as z-depth, over what a plane is: 1 for z-depth, -1 for radial."""
+    return (as_radial**2 - as_z**2) / contrast**2
 
 
 def _flatness(frame: PmdFrame) -> tuple[float, float, float] | None:

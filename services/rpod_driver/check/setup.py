@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_driver.check.observations import Observations
+from rpod_driver.check.observations import Observations, Offer
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
-from rpod_runtime.sensor_data.extrinsics import in_words
+from rpod_runtime.sensor_data.extrinsics import MOST_LINKS, in_words
 from rpod_runtime.sensor_data.scan_grid import angles_of, rows_are_elevation
 from rpod_schemas.sensors import sensor_kind
-from rpod_schemas.topics import TF_STATIC
+from rpod_schemas.topics import CHASER, TF_STATIC
 from rpod_schemas.types import LidarInfo, LidarScan, SensorInfo
 
 _FULL_TURN = 0.9
@@ -191,16 +191,35 @@ def qos(seen: Observations) -> CheckResult:
     came = {TF_STATIC.name: seen.mounts, f"{seen.name}/info": seen.infos}
     latched = list(came)
     parts = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source).values()
-    own = {*latched, *(topic.name for topic in parts)} & seen.qos.keys()
-    if not own - {TF_STATIC.name}:
+    names = {*latched, *(topic.name for topic in parts)} & seen.qos.keys()
+    own = {name: offers for name in names if (offers := _of_sensor(seen, name))}
+    if not own.keys() - {TF_STATIC.name}:
         return unchecked(line, "no token of its publishers came")
     for topic in latched:
-        for told in seen.qos.get(topic, ()):
-            if told.split(":")[1:2] != ["1"]:
+        for offer in own.get(topic, ()):
+            if offer.qos.split(":")[1:2] != ["1"]:
                 return fail(line, f"{topic} is not TRANSIENT_LOCAL", "not_latched")
-    if untold := [topic for topic in latched if came[topic] and topic not in own]:
+    if untold := [topic for topic in latched if came[topic] and topic not in seen.qos]:
         return unchecked(line, f"no token of the publisher of {' and '.join(untold)} came; watch again")
-    best_effort = [topic for topic in sorted(own) if any(each.startswith("2") for each in seen.qos[topic])]
+    best_effort = [topic for topic in sorted(own) if any(each.qos.startswith("2") for each in own[topic])]
     if best_effort:
         return note(line, f"{', '.join(best_effort)} is BEST_EFFORT: a slow link loses messages")
     return ok(line, f"{len(own)} topics")
+
+
+def _of_sensor(seen: Observations, topic: str) -> set[Offer]:
+    """Return the offers of a topic that concern the sensor: many nodes publish ``tf_static``.
+
+    Of those it is its own publisher's, and those of the publishers whose transforms lead from the sensor to
+    the chaser; all, if none do, since a volatile publisher may be why.
+    """
+    offers = seen.qos[topic]
+    if topic != TF_STATIC.name:
+        return offers
+    frames, links = set(seen.frame_ids), [(child, parent) for _, parent, child, _ in seen.mounts]
+    for _ in range(MOST_LINKS):
+        frames |= {parent for child, parent in links if child in frames}
+    if CHASER not in frames:
+        return offers
+    given = {peer.session for peer, _, child, _ in seen.mounts if child in frames}
+    return {each for each in offers if each.session in {"", *seen.sessions, *given}}

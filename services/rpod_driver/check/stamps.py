@@ -1,5 +1,6 @@
 """Lines about stamps: order, jitter, offset and drift of the clock."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.sensor_data.end_watch import EndWatch, last_of
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
-from rpod_schemas.arrays import MAD_TO_SIGMA
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -20,8 +21,16 @@ _JITTER_S, _JITTER_SHARE = 1e-3, 0.02
 period, which the motor of a turning scanner keeps."""
 _DRIFT_PPM = 50.0
 """Greatest drift that an undisciplined quartz has over temperature; a synchronised one has none."""
+_NO_CLOCK_PPM = 1e5
+"""Drift that no clock has: one that counts 1024 for 1000 has a quarter of it."""
 _DRIFT_SIGMAS = 5.0
-_DRIFT_S = 8.0
+_DRIFT_S, _STRETCHES, _LEAST_STRETCHES = 8.0, 8, 6
+"""Time that a drift needs, s; number of stretches whose least ages are compared, and least number of them.
+Long ones hold the shortest delay even on a loaded machine."""
+_EVEN = 0.5
+"""Least ratio of the movements of the ages from the first to the second third of the time and on to the last,
+for them to be one drift: a load that comes and goes moves them unevenly."""
+_MOST_PARTS = 4
 _TAI_WITHIN_S = 1.0
 
 
@@ -46,13 +55,36 @@ def jitter(seen: Observations) -> CheckResult:
     if not np.isfinite(period_s):
         return unchecked(line, "stamps do not rise")
     steps_s = np.diff([heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
-    off_s = steps_s - period_s * np.round(steps_s / period_s)
-    sigma_s = float(MAD_TO_SIGMA * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
-    limit_s = max(_JITTER_S, _JITTER_SHARE * period_s)
+    sigma_s = _scatter_s(steps_s, period_s)
+    for each_s in _shorter(period_s, seen.options.rate_hz):
+        if _scatter_s(steps_s, each_s) < _limit_s(each_s) < sigma_s:
+            period_s, sigma_s = each_s, _scatter_s(steps_s, each_s)
+    limit_s = _limit_s(period_s)
     text = f"{1e3 * sigma_s:.3f} ms about a period of {1e3 * period_s:.3f} ms, limit {1e3 * limit_s:.1f} ms"
     if sigma_s > limit_s:
         return fail(line, text, "stamp_jitter", jitter_s=sigma_s)
     return ok(line, text, jitter_s=sigma_s)
+
+
+def _scatter_s(steps_s: FloatArray, period_s: float) -> float:
+    """Return the standard deviation of stamps about multiples of a period, s."""
+    off_s = steps_s - period_s * np.round(steps_s / period_s)
+    return float(MAD_TO_SIGMA * np.median(np.abs(off_s - np.median(off_s))) / np.sqrt(2.0))
+
+
+def _limit_s(period_s: float) -> float:
+    return max(_JITTER_S, _JITTER_SHARE * period_s)
+
+
+def _shorter(period_s: float, rate_hz: float | None) -> Iterator[float]:
+    """Yield periods that the median step may be a multiple of, where a loaded machine leaves out frames.
+
+    Stamps without any order scatter by a quarter of a period. Only periods count for which that is beyond the
+    limit.
+    """
+    steps = [period_s / parts for parts in range(2, _MOST_PARTS + 1)]
+    nominal = [1.0 / rate_hz] if rate_hz and period_s * rate_hz > 1.0 else []
+    yield from (each_s for each_s in (*nominal, *steps) if 0.25 * each_s > 2.0 * _limit_s(each_s))
 
 
 def clock(seen: Observations) -> CheckResult:
@@ -72,9 +104,25 @@ def clock(seen: Observations) -> CheckResult:
         return _against_the_end(seen, line, text, figures)
     age_s = least_s if least_s < -ahead_s else middle_s
     stamp_ns = seen.leads[-1].stamp_ns
+    if -ahead_s <= least_s <= late_s or 0.0 < 2.0 * least_s < middle_s:  # no clock: it delays all alike
+        return _delayed(seen, line, least_s, middle_s, figures)
     where = f"{-age_s:.3f} s ahead of" if age_s < 0 else f"{age_s:.3f} s behind"
     text = f"stamps are {where} this machine's clock; {clock_hint(-age_s, stamp_ns)}"
     return fail(line, text, _name(-age_s, stamp_ns), **figures)
+
+
+def _delayed(
+    seen: Observations, line: str, least_s: float, middle_s: float, figures: dict[str, float]
+) -> CheckResult:
+    """Return why frames come too late for another reason than the clock: some of them come in time."""
+    waits_s = np.array([heard.arrival_ns - (heard.sent_ns or heard.stamp_ns) for heard in seen.leads])
+    on_link = all(heard.sent_ns for heard in seen.leads) and 2.0 * np.median(waits_s) > middle_s * NANOSECONDS
+    where = "on the link" if on_link else "before they are sent: sensor, driver or machine are too slow"
+    text = (
+        f"frames arrive {middle_s:.3f} s after their stamp mostly, and {least_s:.3f} s at least, by which a "
+        f"clock may be behind; they wait {where}"
+    )
+    return fail(line, text, "slow_link" if on_link else "slow_rate", **figures)
 
 
 def _against_the_end(seen: Observations, line: str, text: str, figures: dict[str, float]) -> CheckResult:
@@ -119,13 +167,12 @@ def drift(seen: Observations) -> CheckResult:
     arrivals_s = np.array([heard.arrival_ns - seen.leads[0].arrival_ns for heard in seen.leads]) / NANOSECONDS
     ages_s = np.array([heard.arrival_ns - heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
     ages_s -= ages_s[0]
-    stretch_s = max(1.0, 4.0 * seen.period_s)
-    bins = (arrivals_s / stretch_s).astype(np.intp)
+    bins = (arrivals_s / max(arrivals_s[-1], 1e-9) * _STRETCHES).astype(np.intp).clip(0, _STRETCHES - 1)
     least = np.array(
         [np.flatnonzero(bins == each)[ages_s[bins == each].argmin()] for each in np.unique(bins)]
     )
     x_s, y_s = arrivals_s[least], ages_s[least]
-    if x_s[-1] - x_s[0] < _DRIFT_S or len(least) < 4:
+    if arrivals_s[-1] < _DRIFT_S or len(least) < _LEAST_STRETCHES:
         return unchecked(line, f"watched for {arrivals_s[-1]:.0f} s; watch for longer")
     slope, first = np.polyfit(x_s, y_s, 1)
     scatter_s = float(np.std(y_s - slope * x_s - first, ddof=2))
@@ -134,8 +181,12 @@ def drift(seen: Observations) -> CheckResult:
     limit_ppm = _DRIFT_PPM + _DRIFT_SIGMAS * sigma_ppm
     text = f"{drift_ppm:+.0f} ppm, standard deviation {sigma_ppm:.0f} ppm, limit {limit_ppm:.0f} ppm"
     figures = {"drift_ppm": drift_ppm, "sigma_ppm": sigma_ppm}
-    if abs(drift_ppm) > limit_ppm:
+    if abs(drift_ppm) > _NO_CLOCK_PPM:
+        return unchecked(line, f"{text}: no clock is that wrong; the frames' delay changes", **figures)
+    steps_s = np.sign(slope) * np.diff([part.min() for part in np.array_split(y_s, 3)])
+    if abs(drift_ppm) > limit_ppm and steps_s.min() >= _EVEN * steps_s.max():
         return fail(line, text, "clock_drift", **figures)
-    if limit_ppm > 4.0 * _DRIFT_PPM:
-        return unchecked(line, f"{text}: arrivals are too irregular; watch for longer", **figures)
+    if limit_ppm > 4.0 * _DRIFT_PPM or abs(drift_ppm) > limit_ppm:
+        why = "arrivals are too irregular, or a load moves them in steps"
+        return unchecked(line, f"{text}: {why}; watch for longer", **figures)
     return ok(line, text, **figures)

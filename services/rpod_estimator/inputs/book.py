@@ -18,7 +18,8 @@ WINDOW_S = 2.0
 LEAST_FRAMES = 3
 """Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
 LOCKSTEP_SILENCE_S = 60.0
-"""As ``WINDOW_S``, for silence in lockstep, where a second of the scenario may take many."""
+"""As ``WINDOW_S``, for silence by the wall clock in lockstep, where a second of the scenario may take many.
+There the time of the bus decides, unless it stands still because a frame is awaited."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
@@ -86,6 +87,8 @@ class SensorBook:
         """Defect of its newest frame although it can be used; empty if there is none."""
         self.clock = ""
         """What its stamps and the arrival of its frames say against each other; empty if nothing."""
+        self.drift = ""
+        """How its clock drifts, if that is more than is declared; empty if it is not."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -93,6 +96,8 @@ class SensorBook:
         self._heard_s: float | None = None
         self._since_s = now_s
         self._others_s = -WINDOW_S
+        self._bus_heard_s: float | None = None
+        self._bus_gaps_s: deque[float] = deque(maxlen=9)
         self.instead = ""
         """What is awaited of a sensor that has never sent, and what is published instead."""
         self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
@@ -102,8 +107,12 @@ class SensorBook:
         """Whether no frame of it has come yet."""
         return self._heard_s is None
 
-    def note_arrival(self, now_s: float) -> None:
-        """Note that the leading part of a frame came."""
+    def note_arrival(self, now_s: float, bus_s: float | None = None) -> None:
+        """Note that the leading part of a frame came; ``bus_s`` is its stamp where time is the bus's, s."""
+        if bus_s is not None:
+            if self._bus_heard_s is not None:
+                self._bus_gaps_s.append(max(bus_s - self._bus_heard_s, 0.0))
+            self._bus_heard_s = bus_s
         if self._heard_s is None or now_s - self._heard_s > self._silent_after_s:
             self._since_s = now_s
             self._recent.clear()
@@ -132,11 +141,17 @@ class SensorBook:
     def _silent_after_s(self) -> float:
         return max(self._silence_s, PERIODS * median(self._gaps_s or [0.0]))
 
-    def state(self, now_s: float) -> InputState:
-        """Return the health: WARN if more than half of the recent frames were not used, ERROR if none was."""
+    def state(self, now_s: float, bus_s: float | None = None) -> InputState:
+        """Return the health: WARN if more than half of the recent frames were not used, ERROR if none was.
+
+        ``bus_s`` is the time of the bus, if that is the time of the stamps, s; None before its first message.
+        """
+        others = now_s - self._others_s <= WINDOW_S
+        if (silent_s := self._bus_silent_s(bus_s)) > 0.0:
+            told = self._silence(silent_s, " of bus time", others=others)
+            return InputState(Health.WARN, f"{self.name}: {told}")
         silent_s = now_s - (self._since_s if self._heard_s is None else self._heard_s)
         if silent_s > self._silent_after_s:
-            others = now_s - self._others_s <= WINDOW_S
             return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")
         while len(self._recent) > LEAST_FRAMES and now_s - self._recent[0].time_s > WINDOW_S:
             self._recent.popleft()
@@ -153,8 +168,17 @@ class SensorBook:
         level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
         check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
-        text = "; ".join(filter(None, (latest.text, self.clock, self.defect, check)))
+        text = "; ".join(filter(None, (latest.text, self.clock, self.drift, self.defect, check)))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
+
+    def _bus_silent_s(self, bus_s: float | None) -> float:
+        """Return for how long the sensor is silent by the time of the bus, s; 0 if it is not."""
+        if bus_s is None:
+            return 0.0
+        if self._bus_heard_s is None:
+            self._bus_heard_s = bus_s  # the time begins
+        silent_s = bus_s - self._bus_heard_s
+        return silent_s if silent_s > max(WINDOW_S, PERIODS * median(self._bus_gaps_s or [0.0])) else 0.0
 
     def _doubtful(self, now_s: float) -> InputState:
         if self.sync.ptp == "unlocked":
@@ -163,10 +187,8 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if self.clock or self.defect:
-            return InputState(
-                Health.WARN, f"{self.name}: {'; '.join(filter(None, (self.clock, self.defect)))}"
-            )
+        if known := "; ".join(filter(None, (self.clock, self.drift, self.defect))):
+            return InputState(Health.WARN, f"{self.name}: {known}")
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
@@ -183,14 +205,13 @@ class SensorBook:
         text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
         return InputState(Health.WARN, text)
 
-    def _silence(self, silent_s: float, *, others: bool) -> str:
+    def _silence(self, silent_s: float, of_time: str = "", *, others: bool) -> str:
+        time = f"{silent_s:.0f} s{of_time}"
         if others:
-            return (
-                f"no {self._leading} for {silent_s:.0f} s, only other parts of its frames; look at its driver"
-            )
+            return f"no {self._leading} for {time}, only other parts of its frames; look at its driver"
         if self._heard_s is None:
-            return f"no frame yet in {silent_s:.0f} s; {self.instead or 'is its driver running?'}"
-        return f"no frame for {silent_s:.0f} s; look at its driver"
+            return f"no frame yet in {time}; {self.instead or 'is its driver running?'}"
+        return f"no frame for {time}; look at its driver"
 
 
 def unpaired(frame: GivenUp, leading: str) -> Loss:

@@ -17,6 +17,7 @@ from rpod_estimator.inputs.book import (
     unpaired,
     unused,
 )
+from rpod_estimator.inputs.refusals import Refusals
 from rpod_pose.navigation.first_pose.searches import RESTING
 from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
@@ -57,6 +58,8 @@ class InputHealth:
         self._state = OK
         self._pause_s = 0.0
         self._rival_topics: set[str] = set()
+        self.refusals = Refusals()
+        """Refused messages that are no frames."""
         self.rivals: list[tuple[str, Peer, Peer]] = []
         """Publishers beside the one that is used: topic, the one that is used, the other one."""
 
@@ -102,27 +105,31 @@ class InputHealth:
                 for name, value in sync.values(sensor).items():
                     self._health.tell(name, value)
 
-    def report(self, mode: Mode, now_s: float) -> None:
-        """Write level, message and counters into the diagnostics; log what is not used."""
+    def report(self, mode: Mode, now_s: float, bus_s: float | None = None) -> None:
+        """Write level, message and counters into the diagnostics; log what is not used.
+
+        ``bus_s`` is the time of the bus, if that is the time of the stamps, s.
+        """
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
-            self._state = self._update(now_s)
+            self._state = self._update(now_s, bus_s)
         level = max(self._state.level, Health.WARN if mode in (Mode.LOST, Mode.COASTING) else Health.OK)
         self._health.report(level, "; ".join(filter(None, (mode.name.lower(), self._state.text))))
 
-    def _update(self, now_s: float) -> InputState:
+    def _update(self, now_s: float, bus_s: float | None) -> InputState:
         states = []
         for sensor, book in self.books.items():
             self._health.put(f"inputs/{sensor}/used", book.used)
             for kind, frames in book.lost.items():
                 self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)
                 self._health.tell(f"input/{sensor}/{kind}", book.examples[kind])
-            state = book.state(now_s)
+            state = book.state(now_s, bus_s)
             self._log(sensor, state, now_s)
             states.append(state)
         rivals = self._rivals_state()
         self._log("publishers", rivals, now_s)
         states.append(rivals)
+        states += self.refusals.states(now_s)  # each is in the log, as any rejected message
         if self._pause_s:
             states.append(InputState(Health.OK, f"searches rest: one frame in {self._pause_s:.1f} s"))
         text = "; ".join(state.text for state in states if state.text)

@@ -2,11 +2,13 @@
 
 from threading import Lock
 
-from rpod_schemas.topics import Topic
+from rpod_schemas.topics import CONTRADICTION, ESTIMATE_JOINTS, Topic
 
 _MOST_TOPICS, _MOST_NAMED = 1_000, 6
 _SENSORS = "sensor_msgs/"
 """Beginning of the types of a sensor's messages."""
+_ESTIMATORS = tuple(f"/{topic.name.rsplit('/', 1)[-1]}" for topic in (CONTRADICTION, ESTIMATE_JOINTS))
+"""Ends of the names of an estimator's own topics of such types."""
 
 
 class Published:
@@ -20,7 +22,8 @@ class Published:
         """Note a publisher."""
         with self._lock:
             known = topic.name in self._sessions or len(self._sessions) < _MOST_TOPICS
-            if topic.type.startswith(_SENSORS) and known:
+            is_sensors = topic.type.startswith(_SENSORS) and not topic.name.endswith(_ESTIMATORS)
+            if is_sensors and known:
                 self._sessions.setdefault(topic.name, set()).add(session)
 
     def gone(self, session: str, topic: Topic) -> bool:
@@ -33,8 +36,13 @@ class Published:
                 self._sessions.pop(topic.name, None)
             return was_there and not sessions
 
-    def instead(self, awaited: str) -> str:
-        """Return what is published in place of an awaited topic, and what to do, for the operator."""
+    def instead(self, awaited: str, refused: str = "") -> str:
+        """Return what is published in place of an awaited topic, and what to do, for the operator.
+
+        ``refused`` is why the last message of the topic was refused; empty if none was.
+        """
+        if refused:
+            return f"messages on {awaited} come and are refused, {refused}; let its driver send them right"
         with self._lock:
             names = sorted(self._sessions)
         if awaited in names:

@@ -23,6 +23,7 @@ from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.delivery.holders import Holders, SecondPublisherError
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.sensor_data.drift_watch import DriftWatch
 from rpod_runtime.sensor_data.end_watch import EndWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
@@ -31,6 +32,7 @@ from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics
 from rpod_schemas.topics import DIAGNOSTICS, Topic
+from rpod_schemas.types import Mode
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +42,10 @@ _MOST_MOUNTS = 50
 """Largest number of mounts that are written to the log."""
 _CLOCK_LAG_S = 0.2
 """Longest time that a clock message may arrive after a frame that was published later."""
+
+
+class FrameRefusedError(MessageRejectedError):
+    """The leading part of a frame is refused: the frame gets a status, and stands in its sensor's book."""
 
 
 class Subscriptions:
@@ -53,6 +59,7 @@ class Subscriptions:
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
+        self._drifts = {sensor.name: DriftWatch() for sensor in config.sensors}
         self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
         self._mounts: set[str] = set()
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
@@ -132,24 +139,31 @@ class Subscriptions:
                 self._put(sensor, assembler.release())
         for name, (sensor, part) in self._reader.parts.items():
             if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:
-                self.health.books[sensor].instead = self._published.instead(name)
+                refused = self._node.health.rejection(name)
+                self.health.books[sensor].instead = self._published.instead(name, refused)
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
     def _take_all(self, parts: list[Received]) -> None:
         while not self._gone.empty():
             session, topic, is_last, gone_s = self._gone.get()
             self._holders.leave(topic.name, session, last=is_last, now_s=gone_s)
+            self.health.refusals.leave(topic.name, session)
             if topic in self._reader.latched:
                 self._reader.leave(session, topic)
         while not self._resets.empty():
             keep = self._resets.get()
             self._holders.release(keep=keep, now_s=time.monotonic())
             self._reader.forget(keep=keep)
+            self.health.refusals.forget()
         for received in self._latched.wait(0.0) + parts:
             try:
                 self._take(received)
+                self.health.refusals.accept(received)
+            except FrameRefusedError as error:
+                self._node.reject(received.topic.name, error)
             except MessageRejectedError as error:
                 self._node.reject(received.topic.name, error)
+                self.health.refusals.refuse(received, error)
         self.health.rivals = [*self._holders.rivals(time.monotonic()), *self._reader.rivals]
 
     def _next(self) -> Arrived | None:
@@ -187,18 +201,28 @@ class Subscriptions:
                 )
         except MessageRejectedError as error:
             if leads:
-                self.health.books[sensor].note_arrival(received.arrival_s)
+                self._note_arrival(sensor, received, stamp_ns)
                 refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
                 self._refused.append(refused)
                 assembler.refuse(stamp_ns)
+                raise FrameRefusedError(error.reason, error.text) from error
             raise
         self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:
-            self.health.books[sensor].note_arrival(received.arrival_s)
+            self._note_arrival(sensor, received, stamp_ns)
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _note_arrival(self, sensor: str, received: Received, stamp_ns: int) -> None:
+        bus_s = stamp_ns / NANOSECONDS if self._in_lockstep else None
+        self.health.books[sensor].note_arrival(received.arrival_s, bus_s)
+
+    def report_health(self, mode: Mode) -> None:
+        """Write the health of the inputs into the diagnostics, by the time up to which all was processed."""
+        bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
+        self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
     def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
         watch = self._watches[sensor]
@@ -206,6 +230,10 @@ class Subscriptions:
         self._node.health.measure(f"stamp_age_s/{sensor}", watch.age_s)
         if np.isfinite(watch.drift_ppm):
             self._node.health.measure(f"clock_drift_ppm/{sensor}", watch.drift_ppm)
+        if self._drifts[sensor].add(stamp_ns, arrival_ns):
+            sigma_s = self._config.integrity.clock_sigma_s
+            drift = self._drifts[sensor].drift(sigma_s)
+            self.health.books[sensor].drift = drift.told(sigma_s) if drift is not None else ""
 
     def _watch_end(self, sensor: str, frame: Assembled[Received], measurement: Measurement) -> None:
         """Compare the last measurement of a frame with its sending and arrival."""

@@ -53,6 +53,7 @@ from rpod_pose.navigation.sensors.streams import (
     rests,
     silent_since_s,
     supported,
+    unsupported_s,
 )
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
@@ -128,15 +129,15 @@ class Navigator:
         """Return the next state and the output to publish; no output for a tick that changes nothing."""
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
-        began, (state, why) = state.mode, self._coasting.aged(state, event.stamp_ns)
+        before, (state, why) = state, self._coasting.aged(state, event.stamp_ns)
         why *= state.mode == Mode.LOST
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
-        if why and state.mode == Mode.LOST:
-            output = output.because(why)
+        if why:
+            output = output.after_loss(why, unsupported_s(before.streams, event.stamp_ns))
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
-        if state.mode == Mode.TRACKING and not began.has_track:  # it is offered to the other sensors
+        if state.mode == Mode.TRACKING and not before.mode.has_track:  # it is offered to the other sensors
             state = replace(state, searches={})
         return state, self._judged(state, output)
 

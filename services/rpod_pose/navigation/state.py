@@ -15,7 +15,7 @@ from rpod_pose.navigation.sensors.joining import Separation
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import EstimatorStatus, Joints, Mode, Odometry, Source
+from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odometry, Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +95,8 @@ class Output:
 
     search: str = ""
     """What is told of a search of the sensor's frames: the end of the status's reason; empty for nothing."""
+    lost: str = ""
+    """Why the track was lost before an accepted frame that begins it again; empty if it was not."""
     of_no_use: str = ""
     """How the covariance of the odometry exceeds the alert limit; empty if it does not."""
 
@@ -113,6 +115,16 @@ class Output:
         """Return this output with a reason before its own."""
         reason = f"{why}; {self.status.reason}"
         return replace(self, status=self.status.model_copy(update={"reason": reason}))
+
+    def after_loss(self, why: str, unsupported_s: float) -> "Output":
+        """Return this output of a frame before which the track was lost, with the reason.
+
+        The status of a frame that is accepted has no reason: its evidence tells for how long none was.
+        """
+        if not self.status.accepted:
+            return self.because(why) if self.status.mode == Mode.LOST else self
+        told = f"the track was lost: {why}; this frame begins it again"
+        return replace(self, lost=told).noting(LOST_AFTER_S, unsupported_s)
 
     def noting(self, name: str, value: float) -> "Output":
         """Return this output with one more number in the status's evidence."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import LidarScan, SensorFrame
 
@@ -22,9 +23,6 @@ _LEAST_SECONDS = 3
 _LONG = 2.0
 """Span of the times of a scan's points, over the scan's duration or period, from which on their unit is
 wrong: units differ by 1000, and a stated duration may be that of another mode."""
-_SIGMAS = 4.0
-"""Error of a clock, in the standard deviations that are declared for it, beyond which it is not synchronised
-as declared."""
 
 
 class Last(NamedTuple):
@@ -156,10 +154,10 @@ class EndWatch:
             return None
         if self._last.is_longer_than_a_scan(self._period_s):
             return Finding("point_time_unit", self._unit())
-        if median(each.after_s for each in self._least) < -_SIGMAS * clock_sigma_s:
-            return Finding("clock_ahead", self._ahead(_SIGMAS * clock_sigma_s))
+        if median(each.after_s for each in self._least) < -CLOCK_SIGMAS * clock_sigma_s:
+            return Finding("clock_ahead", self._ahead(CLOCK_SIGMAS * clock_sigma_s))
         long_s = min(each.long_s for each in self._least)
-        if long_s > within_s + _SIGMAS * clock_sigma_s:
+        if long_s > within_s + CLOCK_SIGMAS * clock_sigma_s:
             return Finding("clock_behind", self._behind(long_s, within_s))
         return None
 

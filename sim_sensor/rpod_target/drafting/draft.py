@@ -68,6 +68,7 @@ def draft(
     *,
     cache: Path | None = None,
     symmetries: "Callable[[Target], Sequence[FoundSymmetry]] | None" = None,
+    say: Callable[[str], object] = lambda _: None,
 ) -> Draft:
     """Write a target's parameter file from a CAD file, build the target, and find its symmetries.
 
@@ -77,11 +78,13 @@ def draft(
         options: what the CAD file does not say.
         cache: directory of the built targets.
         symmetries: returns the symmetries of a target; by default the exact ones, by its shape alone.
+        say: is told which step begins, in words.
 
     Raises:
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
     """
     told: list[str] = []
+    say(f"reading {cad.name}")
     mesh = _read(cad, told)
     scale = _scale(cad, mesh, options, told)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +93,9 @@ def draft(
     def written(options: DraftOptions) -> "tuple[_Sections, list[FoundSymmetry]]":
         sections = _Sections(cad, out, mesh, options, scale)
         out.write_text(sections.text(()), encoding="utf-8")
+        say(f"building the target of {len(mesh.triangles):,} triangles: edges, model points, distance field")
         target = load_target(out, cache=cache, read={sections.file: mesh})
+        say("looking for symmetries, and which of them a LIDAR and a camera would mistake")
         return sections, [one for one in (symmetries or _by_shape)(target) if one.mistaken]
 
     try:
@@ -99,6 +104,7 @@ def draft(
             sections, found = written(replace(options, origin="centre"))
         told += sections.told
         out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
+        say("building the target with its symmetries")
         target = load_target(out, cache=cache)
         told += _keep(kept, out)
     except BaseException:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from checked_sensors import (
     INFO,
     PATTERN,
     SECOND_NS,
+    Desk,
     facility,
     facility_seen,
     failed,
@@ -22,15 +24,19 @@ from checked_sensors import (
     wall_frames,
     watched,
 )
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.geometry import Fitted, fitted
 from rpod_driver.check.sightings import sightings_of
+from rpod_driver.host import told_of
+from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, PmdFrame
+from rpod_schemas.topics import TF_STATIC
+from rpod_schemas.types import Camera, Diagnostic, Health, PmdFrame
 
 SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
 """Seeds of each fault; ten with RPOD_FAULT_SEEDS=10, as in docs/results/drivers.md."""
@@ -224,12 +230,37 @@ def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():
 
 def test_where_no_frame_comes_the_publishers_that_are_there_are_named():
     observer = Observer("pmd", "front")
-    observer.take_tokens([("rosout", "::,"), ("frnt/depth/image_raw", "::,"), ("frnt/camera_info", "::,")])
+    names = "rosout", "frnt/depth/image_raw", "frnt/camera_info"
+    observer.take_tokens([(name, "::,", "other") for name in names])
     text = at(judge(observer.end(EPOCH_NS)), "publisher").text
     assert "nobody publishes front/depth/image_raw" in text
     assert "published are frnt/camera_info, frnt/depth/image_raw:" in text
-    observer.take_tokens([("front/depth/image_raw", "::,")])
+    observer.take_tokens([("front/depth/image_raw", "::,", "own")])
     assert "has a publisher, which sends nothing" in at(judge(observer.end(EPOCH_NS)), "publisher").text
+
+
+def test_where_a_publisher_sends_nothing_the_failing_driver_is_quoted():
+    observer = Observer("pmd", "front")
+    observer.take_tokens([("front/depth/image_raw", "::,", "own")])
+    failing = Diagnostic(
+        stamp_ns=1, name="driver", level=Health.ERROR, message="depth_m: is of float64", values={}
+    )
+    observer.seen.diagnostics = {"driver": failing}
+    assert "; driver says: depth_m: is of float64" in at(judge(observer.end(EPOCH_NS)), "publisher").text
+
+
+def test_a_frame_with_wrong_values_is_told_in_one_line_with_what_it_needs():
+    with pytest.raises(ValidationError) as caught:
+        PmdFrame(
+            stamp_ns=1, frame_id="", depth_m=np.ones((4, 6)), amplitude=np.ones(4),
+            camera=Camera(width=6, height=4, fx=5.0, fy=5.0, cx=2.5, cy=1.5),
+        )  # fmt: skip
+    assert told_of(caught.value) == (
+        "PmdFrame: depth_m: is of float64, needs an array of float32: np.asarray(..., np.float32); "
+        "amplitude: has shape (4,), needs an array of shape (height, width)"
+    )
+    assert told_of(OSError("no device")) == "no device"
+    assert told_of(OSError()) == "OSError"
 
 
 def test_a_result_becomes_json():
@@ -243,6 +274,7 @@ def test_the_catalogue_names_lines_of_the_check():
     assert known_fault("frozen").name == "frozen"
 
 
+VOLATILE = replace(TF_STATIC, latched=False)
 BOTTLE = Path(__file__).parents[2] / "data" / "depth_bottle"
 
 
@@ -276,3 +308,75 @@ def test_latched_topics_without_a_token_of_their_publisher_are_not_said_to_be_in
     told = at(judge(seen), "qos")
     assert told.level is Level.UNCHECKED
     assert "tf_static" in told.text
+
+
+def test_a_volatile_tf_static_of_another_node_is_no_fault_of_a_sensor_whose_mount_is_known():
+    seen = watched("pmd", wall_frames(1, 3.0), INFO, latency_s=0.02, options=Options(rate_hz=10.0))
+    (offer,) = seen.qos["tf_static"]
+    volatile = offer._replace(qos=VOLATILE.offered.token(), session="another")
+    seen.qos["tf_static"].add(volatile)
+    assert at(judge(seen), "qos").level is Level.OK
+    seen.mounts.clear()  # now it may be the reason
+    assert at(judge(seen), "qos").faults == ("not_latched",)
+
+
+# --- a loaded machine ---
+
+
+def frames_at(numbers, *, late_s=lambda _: 0.0, rate_hz=5.0, kind="pmd"):
+    """Return what came of a camera whose frames have these numbers, each late by some time, on a grid."""
+    frames = list(wall_frames(3, 1.0))
+    desk = Desk(kind, "front", options=Options(rate_hz=rate_hz))
+    publisher = CameraPublisher(desk, "front", T_chaser_sensor=make_pose(), info=INFO)
+    for place, number in enumerate(numbers):
+        stamp_ns = EPOCH_NS + SECOND_NS + round(number * SECOND_NS / rate_hz)
+        desk.deliver(max(desk.now, stamp_ns + round((0.02 + late_s(number)) * SECOND_NS)))
+        publisher.publish(frames[place % len(frames)].model_copy(update={"stamp_ns": stamp_ns}))
+    return desk.end()
+
+
+def test_stamps_are_even_although_most_frames_are_missing():
+    numbers = np.cumsum(np.random.default_rng(1).choice([2, 3, 3, 4], 40))
+    result = at(judge(frames_at(numbers)), "jitter")
+    assert result.level is Level.OK, result.text
+
+
+def test_a_machine_that_delays_most_frames_is_no_clock_that_is_behind():
+    result = at(judge(frames_at(range(60), late_s=lambda number: 0.1 if number % 5 == 0 else 1.2)), "clock")
+    assert result.faults == ("slow_rate",), result.text
+    assert "they wait before they are sent" in result.text
+
+
+def test_a_driver_that_falls_behind_its_stamps_has_no_drifting_clock():
+    results = judge(frames_at(range(60), late_s=lambda number: 1.2 + 0.8 * number / 5.0))
+    assert at(results, "drift").level is Level.UNCHECKED, at(results, "drift").text
+    assert at(results, "clock").faults == ("slow_rate",), at(results, "clock").text
+
+
+def test_a_load_that_comes_is_no_drift_of_the_clock():
+    result = at(judge(frames_at(range(100), late_s=lambda number: 0.25 if number > 60 else 0.0)), "drift")
+    assert result.level is not Level.FAIL, result.text
+
+
+def test_surfaces_that_are_no_plane_tell_no_depth_model(monkeypatch):
+    """Of a tumbling target that a good camera saw live: curved by 12 and 20 times what a plane would be."""
+    curved = iter([-11.8, -20.1, 1.47, 0.65] * 3)
+
+    def flatness(_):
+        return (
+            np.sqrt(1e-4 - 2e-5 * (ratio := next(curved)) * (ratio < 0)),
+            np.sqrt(1e-4 + 2e-5 * ratio * (ratio > 0)),
+            2e-5**0.5,
+        )
+
+    monkeypatch.setattr("rpod_driver.check.plane._flatness", flatness)
+    seen = watched("pmd", wall_frames(1, 1.5), INFO, latency_s=0.01)
+    result = at(judge(seen), "depth_model")
+    assert result.level is not Level.FAIL, result.text
+
+
+def test_stamps_that_are_seconds_off_are_not_compared_with_truth():
+    results = facility("lidar", late_s=-3.0)
+    assert at(results, "clock").faults == ("clock_behind",)
+    for line in ("range", "mount_truth"):
+        assert "correct the clock first" in at(results, line).text

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.driver import open_driver
@@ -204,3 +204,17 @@ def test_a_configuration_names_one_recording(kind, device, reason):
 def test_images_are_of_a_camera(tmp_path):
     with pytest.raises(ValidationError, match="images are of a camera"):
         driver("lidar", images=images(tmp_path))
+
+
+def test_a_recording_is_opened_once_a_pass_and_not_for_each_frame(tmp_path, monkeypatch):
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, camera_messages(count=20))
+    opened, read = driver(bag=bag), []
+
+    class Counted(Reader):
+        def __init__(self, *paths):
+            read.append(paths)
+            super().__init__(*paths)
+
+    monkeypatch.setattr("rpod_driver.adapters.replay.bag.Reader", Counted)
+    assert len(played(opened)) == 20
+    assert len(read) == 3  # for the info at connect and for the stamps, and for the frames

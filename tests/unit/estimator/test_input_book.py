@@ -174,6 +174,30 @@ def test_a_doubt_about_used_frames_is_told():
     assert book.state(now_s) == (Health.WARN, "pmd: all pixels of its amplitude are 128; correct its driver")
 
 
+def test_in_lockstep_a_sensor_is_silent_by_the_time_of_the_bus(caplog):
+    books = InputHealth(
+        HealthBook("estimator"), {"pmd": "depth", "lidar": "points"}, now_s=0.0, silence_s=LOCKSTEP_SILENCE_S
+    )
+    for step in range(60):  # 6 s of the bus's time in 12 s of the machine's; the camera ends after 3 s
+        now_s, bus_s = 0.2 * step, 1000.0 + 0.1 * step
+        if bus_s < 1003.0:
+            books.books["pmd"].note_arrival(now_s, bus_s)
+        if step % 10 == 0:
+            books.books["lidar"].note_arrival(now_s, bus_s)  # once a second
+        books.report(Mode.ACQUIRING, now_s, bus_s)
+    told = [record.getMessage() for record in caplog.records]
+    assert told == ["pmd: no frame for 2 s of bus time; look at its driver"]
+
+
+def test_in_lockstep_a_sensor_that_never_sends_is_told_by_the_time_of_the_bus():
+    book = SensorBook("pmd", "depth", now_s=0.0, silence_s=LOCKSTEP_SILENCE_S)
+    assert book.state(0.1, None).level == Health.OK
+    assert book.state(0.2, 1000.0).level == Health.OK
+    assert book.state(0.5, 1001.9).level == Health.OK
+    state = book.state(1.0, 1002.5)
+    assert state == (Health.WARN, "pmd: no frame yet in 2 s of bus time; is its driver running?")
+
+
 def test_in_lockstep_a_sensor_is_silent_after_a_minute_of_the_wall_clock(caplog):
     health = HealthBook("estimator")
     books = InputHealth(health, {"pmd": "depth"}, now_s=0.0, silence_s=LOCKSTEP_SILENCE_S)

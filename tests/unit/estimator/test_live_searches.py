@@ -1,5 +1,7 @@
 """Searches beside a live estimator: one a sensor, cancelled when nobody waits, limited when unsuccessful."""
 
+import os
+import signal
 from multiprocessing import Pipe
 
 import numpy as np
@@ -149,7 +151,7 @@ def test_arrays_stay_read_only_on_their_way_to_a_process():
     assert (frozen.flags.writeable, free.flags.writeable) == (False, True)
 
 
-def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself():
+def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself(caplog):
     camera = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
     pose = make_pose(
         rotation=Rotation.from_euler("ZYX", [12.0, 25.0, 5.0], degrees=True), translation_m=[0.05, 0.0, 4.0]
@@ -158,9 +160,14 @@ def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself
     frame = depth_frame(target, pose, noise_m=0.01, camera=camera)
     asked = search(7, frame)
     process = SearchProcess("mockup", sensor)
+    stops = signal.SIGTERM, signal.SIGINT, signal.SIGHUP  # to all of a group: the estimator ends this process
     try:
+        for each in stops:
+            os.kill(process._process.pid, each)  # it is still being started
         process.begin(asked, ())
         found = awaited(process)
+        for each in stops:
+            os.kill(process._process.pid, each)
         expected = found_as_in_process(asked, methods_of(sensor, target))
         one, other = (each.acquisition.pose.as_matrix() for each in (found, expected))
         np.testing.assert_array_equal(one, other)
@@ -170,6 +177,7 @@ def test_a_process_finds_what_a_search_in_this_process_finds_and_replaces_itself
         assert awaited(process).acquisition.pose is not None, "the dropped result is not this one's"
     finally:
         process.end()
+    assert not caplog.records, "an orderly stop does not shout"
 
 
 def test_a_search_that_nobody_waits_for_ends_at_its_next_step():

@@ -32,6 +32,7 @@ from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
+    CONTRADICTION,
     DEPTH,
     DIAGNOSTICS,
     LIDAR_INFO,
@@ -979,3 +980,94 @@ def test_a_sensor_that_never_sends_is_told_with_what_is_awaited_and_what_is_publ
     assert "no sensor's topic is published" in said()
     bench.send_frame(NOW_NS)
     assert "awaited" not in said()
+
+
+def test_the_images_of_an_estimator_are_no_sensor_that_sends_instead():
+    bench = Bench()
+    bench.node.came("own", CONTRADICTION)
+    bench.arrived()
+    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].instead
+
+
+# --- refused messages that are no frames, in the message of the diagnostics ---
+
+
+def message_of(bench, now_s=1.0):
+    """Return level and message of the estimator's diagnostics at a time."""
+    bench.arrived()
+    bench.inputs.health._next_s = now_s  # the next update is due
+    bench.inputs.health.report(Mode.TRACKING, now_s)
+    diagnostic = bench.node.health.diagnostic(NOW_NS)
+    return diagnostic.level, diagnostic.message
+
+
+def degrees():
+    message = lidar_info()
+    message.azimuth_rad = np.array([-14.0, 0.0, 14.0])
+    return message
+
+
+def test_a_refused_info_stands_in_the_message_until_a_right_one_comes():
+    bench = lidar_bench()
+    bench.send(LIDAR_INFO.of("lidar"), degrees(), by=DRIVER)
+    level, message = message_of(bench)
+    assert level == Health.WARN
+    assert "lidar/info is refused, malformed: azimuth_rad is -14" in message
+    assert "are they degrees?" in message
+    assert "let its publisher send it right" in message
+    assert "lidar/info" in message_of(bench, now_s=1000.0)[1]  # a latched message stands
+    bench.send(LIDAR_INFO.of("lidar"), lidar_info(), by=DRIVER)
+    assert message_of(bench) == (Health.OK, "tracking")
+
+
+def test_a_refused_info_is_forgotten_when_its_publisher_leaves():
+    bench = lidar_bench()
+    bench.send(LIDAR_INFO.of("lidar"), degrees(), by=DRIVER)
+    assert message_of(bench)[0] == Health.WARN
+    bench.node.gone(DRIVER.session, LIDAR_INFO.of("lidar"))
+    assert message_of(bench) == (Health.OK, "tracking")
+
+
+def test_a_refused_mount_stands_in_the_message():
+    bench = Bench()
+    message = write_transforms(0, [("chaser", "pmd_optical", MOUNT)])
+    message.transforms[0].transform.rotation.w = 3.0
+    bench.send(TF_STATIC, message, by=DRIVER)
+    level, text = message_of(bench)
+    assert level == Health.WARN
+    assert "tf_static is refused, malformed: " in text
+
+
+def test_a_refused_part_is_told_for_some_seconds():
+    bench = Bench()
+    message = write_image(NOW_NS - 9 * SECOND_NS, "c", np.ones((4, 6), np.uint16), "mono16")
+    bench.send(AMPLITUDE.of("pmd"), message, arrival_s=1.0)
+    level, text = message_of(bench)
+    assert level == Health.WARN
+    assert "pmd/amplitude/image_raw is refused, late: 9.000 s old" in text
+    assert "amplitude" not in message_of(bench, now_s=20.0)[1]
+
+
+def test_a_sensor_whose_messages_are_all_refused_is_not_said_to_be_silent():
+    bench = Bench()
+    bench.send(
+        DEPTH.of("pmd"), write_image(NOW_NS, "c", DEPTH_M, "32FC1"), damage=lambda payload: payload[:6]
+    )
+    later_s = monotonic() + 5.0
+    _, text = message_of(bench, later_s)
+    assert "messages on pmd/depth/image_raw come and are refused" in text
+
+
+def test_a_clock_that_drifts_beyond_what_is_declared_is_told_although_each_frame_is_used():
+    bench, start_s = Bench(), monotonic()
+    for number in range(180):
+        time_ns = NOW_NS + number * SECOND_NS // 2
+        how = {"arrival_ns": time_ns, "arrival_s": start_s + number / 2.0}
+        bench.send_frame(NOW_NS + round((1.0 - 4e-4) * (time_ns - NOW_NS)), **how)
+        for arrived in bench.arrived():
+            bench.inputs.health.books[arrived.sensor].use(how["arrival_s"])
+        if number == 60:
+            assert message_of(bench, how["arrival_s"]) == (Health.OK, "tracking")
+    level, message = message_of(bench, how["arrival_s"])
+    assert level == Health.WARN
+    assert "pmd: its clock runs 400 ppm too slow: its stamps have moved by 32.0 ms in 80 s" in message

@@ -44,7 +44,10 @@ def cad(tmp_path: Path) -> Path:
 
 
 def test_a_target_is_written_from_a_cad_file(cad: Path, cache: Path) -> None:
-    made = draft(cad, cad.parent / "out" / "sat.yaml", DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    said: list[str] = []
+    options = DraftOptions(units="m", mass_kg=50.0)
+    made = draft(cad, cad.parent / "out" / "sat.yaml", options, cache=cache, say=said.append)
+    assert [each.split()[0] for each in said] == ["reading", "building", "looking", "building"]
     target = load_target(made.file, cache=cache)
     assert target.parts == ("body", "solar-wing")
     assert {material.name for material in target.materials} == {"blue-stuff", "grey"}

@@ -35,6 +35,8 @@ class PlayedSensor:
 
     def frames(self) -> Iterator[SensorFrame | None]:
         """Yield the frames, stamped as if taken now; None while the next one is not due."""
+        info = self._recording.info()  # once: the file is opened for it
+        stated_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
         begin_ns = time.time_ns()
         for _ in range(self._device.repeat):
             first_ns = last_ns = step_ns = None
@@ -43,16 +45,11 @@ class PlayedSensor:
                 step_ns = frame.stamp_ns - last_ns if last_ns is not None else step_ns
                 last_ns = frame.stamp_ns
                 due_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._device.speed)
-                yield from _until(due_ns + round(self._after_s(frame) * _NANOSECONDS))
+                yield from _until(due_ns + round(_after_s(frame, stated_s) * _NANOSECONDS))
                 yield frame.model_copy(update={"stamp_ns": due_ns})
             if first_ns is not None and last_ns is not None:
                 length_ns = last_ns - first_ns + (step_ns or _NANOSECONDS)
                 begin_ns += round(length_ns / self._device.speed)
-
-    def _after_s(self, frame: SensorFrame) -> float:
-        """Return the time from the stamp to the last measurement: no sensor sends a frame before it."""
-        info = self._recording.info()
-        return max(0.0, last_of(frame, info.duration_s if isinstance(info, SensorInfo) else 0.0).after_s)
 
     def close(self) -> None:
         """Do nothing: the file is closed after each pass."""
@@ -60,6 +57,11 @@ class PlayedSensor:
     def sync(self) -> SensorSync:
         """Return that stamps are the recording's, moved to now."""
         return SensorSync(stamp_source="mapped")
+
+
+def _after_s(frame: SensorFrame, stated_s: float) -> float:
+    """Return the time from the stamp to the last measurement: no sensor sends a frame before it."""
+    return max(0.0, last_of(frame, stated_s).after_s)
 
 
 def _until(due_ns: int) -> Iterator[None]:

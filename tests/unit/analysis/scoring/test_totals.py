@@ -37,9 +37,25 @@ def test_changes_of_state_are_told_with_time_and_reason_and_counted_where_they_a
     assert [(change.before, change.after, change.reason) for change in changes] == [
         (A, T, ""), (T, L, "gate: nis 80.0"), (L, T, ""),
     ]  # fmt: skip
+    assert [change.told for change in changes] == [
+        "a first pose was found and verified", "gate: nis 80.0", "a measurement was accepted",
+    ]  # fmt: skip
     assert changes[1].time_s == pytest.approx(0.7 + 2 / 250)
     flapping = totals_of(tmp_path, duration_s=9.0, frame=lambda k, _: Frame(mode=L if k % 2 else T))
     assert (flapping.change_count, len(flapping.changes)) == (90, 12)
+
+
+def test_a_track_that_one_frame_ends_and_begins_again_is_told_with_its_reason(tmp_path):
+    def frame(number, _time_s):
+        return Frame(mode=V if number == 5 else T, evidence={"lost_after_s": 1.25} if number == 5 else {})
+
+    lost, again = totals_of(tmp_path, frame=frame).changes
+    assert (lost.before, lost.after) == (T, V)
+    assert lost.told == (
+        "the track was lost: no measurement was accepted for 1.25 s, and the covariance of the prediction "
+        "was beyond the alert limit; this frame begins it again"
+    )
+    assert again.told == "the next frames agree with the pose"
 
 
 def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):

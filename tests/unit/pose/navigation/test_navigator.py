@@ -339,6 +339,19 @@ def test_a_lost_target_is_first_looked_for_near_the_prediction():
     assert made.see(good(START_S + 6.2)).status.mode == Mode.TRACKING
 
 
+def test_a_track_that_one_frame_ends_and_begins_again_says_why_it_was_lost():
+    made = tracking()
+    output = made.see(good(START_S + 60.0))
+    assert (output.status.mode, output.status.accepted) == (Mode.VERIFYING, True)
+    assert output.lost.startswith("the track was lost: no measurement was accepted for 5")
+    assert "alert limit" in output.lost
+    assert output.lost.endswith("this frame begins it again")
+    assert output.status.evidence["lost_after_s"] == pytest.approx(58.0, abs=2.0)
+    assert output.status.reason == ""
+    after = made.see(good(START_S + 60.1))
+    assert (after.lost, "lost_after_s" in after.status.evidence) == ("", False)
+
+
 def test_the_search_around_the_prediction_comes_next():
     made = lost()
     made.see(replace(untracked(START_S + 6.1), nearby=(registration(in_sensor(START_S + 6.1)),)))

@@ -1,0 +1,1 @@
+"""Faults of sensors, played live before the check of drivers."""

@@ -1,0 +1,64 @@
+"""Messages that are no frames and were refused: infos, mounts, parts of frames, diagnostics of drivers.
+
+A refused frame stands in the book of its sensor. These would stand in the log alone, while the sensor's
+frames are used with what was known before.
+"""
+
+from typing import NamedTuple
+
+from rpod_estimator.inputs.book import InputState
+from rpod_runtime import Received
+from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.types import Health
+
+STREAM_S = 5.0
+"""Time for which a refused message of a stream is told: a driver's diagnostics come once a second."""
+_MOST = 100
+"""Largest number of publishers whose refused messages are told."""
+_TOLD_ELSEWHERE = frozenset({Reason.SECOND_PUBLISHER, Reason.DUPLICATE})
+"""Reasons for which a message is refused although nothing is missing; a second publisher is told as such."""
+_REMEDY = {
+    True: "it is not used, what was known before counts; let its publisher send it right",
+    False: "it is not used; let its publisher send it right",
+}
+"""What follows, and what to do, for latched messages and for those of a stream."""
+
+
+class _Refusal(NamedTuple):
+    text: str
+    until_s: float
+    """End of the time for which it is told, monotonic clock; infinite for a latched topic."""
+
+
+class Refusals:
+    """The last refusal of each publisher of a topic, until it sends a message that is accepted, or leaves."""
+
+    def __init__(self) -> None:
+        self._refusals: dict[tuple[str, str], _Refusal] = {}
+
+    def refuse(self, received: Received, error: MessageRejectedError) -> None:
+        """Note that a message was refused."""
+        topic, place = received.topic, (received.topic.name, received.session)
+        if error.reason in _TOLD_ELSEWHERE or (place not in self._refusals and len(self._refusals) >= _MOST):
+            return
+        until_s = float("inf") if topic.latched else received.arrival_s + STREAM_S
+        text = f"{topic.name} is refused, {error}; {_REMEDY[topic.latched]}"
+        self._refusals[place] = _Refusal(text, until_s)
+
+    def accept(self, received: Received) -> None:
+        """Note that a message was accepted."""
+        self._refusals.pop((received.topic.name, received.session), None)
+
+    def leave(self, topic: str, session: str) -> None:
+        """Note that the publisher of a session is gone."""
+        self._refusals.pop((topic, session), None)
+
+    def forget(self) -> None:
+        """Forget all: who still sends what is refused will be told of again."""
+        self._refusals.clear()
+
+    def states(self, now_s: float) -> list[InputState]:
+        """Return what is to be told, each as a warning."""
+        self._refusals = {place: each for place, each in self._refusals.items() if now_s <= each.until_s}
+        texts = dict.fromkeys(each.text for each in self._refusals.values())
+        return [InputState(Health.WARN, text) for text in texts]
