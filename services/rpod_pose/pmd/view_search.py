@@ -164,7 +164,8 @@ class ViewSearch:
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
-        believed, logs = self._weighed(task.frame, self._merged(believed, per_loss))
+        logs = self._tracker.log_likelihoods(task.frame, [each.registration for each in believed])
+        believed, logs = self._merged(believed, logs)
         best, least = believed[0], tuning.ambiguous_weight
         if better := self._better(best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
@@ -173,31 +174,31 @@ class ViewSearch:
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
 
-    def _merged(self, aligned: list[_Aligned], per_loss: float) -> list[_Aligned]:
-        """Return distinct poses in their order.
+    def _merged(self, aligned: list[_Aligned], logs: FloatArray) -> tuple[list[_Aligned], FloatArray]:
+        """Return distinct poses, likeliest first, and their log likelihoods, best 0.
 
         Alignments that lead to nearly the same attitude may end in several minima beside each other. Of these
-        poses the first stands for all, or one that explains the frame clearly better. The likely others are
-        among its errors: its covariance contains their mean square distance.
+        poses the first stands for all, or one that is clearly likelier. The others are among its errors: its
+        covariance contains their mean square distance, weighted by their likelihoods.
+
+        Args:
+            aligned: poses in the order of the search.
+            logs: their log likelihoods by the whole frame, shape (N,).
         """
         turns, within_deg = self._model.turns, self._tuning.distinct_deg
         distinct = turns.distinct(aligned, within_deg)
-        merged = []
+        merged, most = [], []
         for near in turns.close(matrices(distinct), matrices(aligned), within_deg):
             same = [pose for pose, is_near in zip(aligned, near, strict=True) if is_near]
-            losses = np.array([pose.losses for pose in same])
-            logs = per_loss * (losses[0, 1] - losses[:, 1])
-            best = same[int(logs.argmax()) if logs.max() > CLEAR_LOG else 0]
-            spread = self._spread(best, same, softmax(logs))
+            gains = logs[near] - logs[near][0]
+            best = same[int(gains.argmax()) if gains.max() > CLEAR_LOG else 0]
+            spread = self._spread(best, same, softmax(gains))
             registration = replace(best.registration, covariance=best.registration.covariance + spread)
-            merged.append(replace(best, registration=registration, losses=losses.min(axis=0)))
-        return merged
-
-    def _weighed(self, frame: PmdFrame, poses: list[_Aligned]) -> tuple[list[_Aligned], FloatArray]:
-        """Return poses, likeliest first, and their log likelihoods by the whole frame, best 0."""
-        logs = self._tracker.log_likelihoods(frame, [pose.registration for pose in poses])
-        order = np.argsort(-logs, kind="stable")
-        return [poses[index] for index in order], logs[order] - logs.max()
+            losses = np.min([pose.losses for pose in same], axis=0)
+            merged.append(replace(best, registration=registration, losses=losses))
+            most.append(logs[near].max())
+        order = np.argsort(-np.array(most), kind="stable")
+        return [merged[index] for index in order], np.array(most)[order] - max(most)
 
     def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
         """Return the mean square of (dp, dtheta) from one pose to several with weights, (6, 6), m and rad."""

@@ -212,8 +212,9 @@ def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_bet
         aligned_pose(90.0, (110.0, 200.0)),
         aligned_pose(2.0, (200.0, 150.0)),
     ]
-    best, other = searching("mockup")._merged(ended, 1.0)
+    (best, other), logs = searching("mockup")._merged(ended, np.array([-160.0, -200.0, -150.0]))
     assert best.R is ended[2].R
+    assert logs.tolist() == [0.0, -50.0]
     assert best.losses.tolist() == [100.0, 150.0]
     assert other.losses.tolist() == [110.0, 200.0]
     assert np.sqrt(best.registration.covariance[3, 3]) < np.radians(0.02)
@@ -221,7 +222,7 @@ def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_bet
 
 def test_alignments_that_end_beside_each_other_and_explain_the_frame_alike_are_in_the_covariance():
     ended = [aligned_pose(0.0, (100.0, 150.0)), aligned_pose(2.0, (200.0, 149.0))]
-    (best,) = searching("mockup")._merged(ended, 1.0)
+    (best,), _ = searching("mockup")._merged(ended, np.array([-150.0, -149.0]))
     share = 1.0 / (1.0 + np.exp(-1.0))
     assert best.R is ended[0].R
     assert best.registration.covariance[3, 3] == pytest.approx(share * np.radians(2.0) ** 2, rel=1e-3)
