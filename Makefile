@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PEERS := .venv-peers
+# Tests start many processes, and each would compile every module anew where the environment forbids to keep it.
+export PYTHONDONTWRITEBYTECODE :=
 
 SCENARIO ?= mockup-tumbling
 ARGS ?=
