@@ -5,10 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PEERS := .venv-peers
+# Tests start many processes, and each would compile every module anew where the environment forbids to keep it.
+export PYTHONDONTWRITEBYTECODE :=
 
 SCENARIO ?= mockup-tumbling
 ARGS ?=
 MINUTES ?= 60
+# One more than the processors of a small machine: a fifth of the time of tests that start processes is waiting.
+WORKERS ?= 3
 
 .PHONY: help run test bounds check format lint types layers docs site document-tests bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
 
@@ -25,7 +29,7 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 	$(BIN)/rpod run $(SCENARIO) $(ARGS)
 
 test: $(READY) ## The tests
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 bounds: $(READY) ## Methods on frames that no sensor sends, their compiled code with each index checked
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py 60

@@ -204,8 +204,8 @@ def watched(
         desk, "front", T_chaser_sensor=mount, info=info
     )
     desk.deliver(EPOCH_NS + SECOND_NS)
-    for stamp_ns, pose in truth:
-        hear(desk.observer, TRUTH, stamp_ns, write_odometry(odometry_of(stamp_ns, pose)))
+    for received in truth:
+        desk.observer.take(received)
     for odometry, status in estimates:
         hear(desk.observer, ESTIMATE, odometry.stamp_ns, write_odometry(odometry))
         hear(desk.observer, STATUS, status.stamp_ns, write_status(status))
@@ -224,8 +224,13 @@ def odometry_of(stamp_ns: int, pose: RigidTransform) -> Odometry:
 
 def hear(observer: Observer, topic: Topic, stamp_ns: int, message: Any) -> None:
     """Hand a message over at once: it is beside the sensor and is not checked."""
+    observer.take(heard(topic, stamp_ns, message))
+
+
+def heard(topic: Topic, stamp_ns: int, message: Any) -> Received:
+    """Return a message as it arrives at its stamp."""
     payload = memoryview(bytes(encode(message)))
-    observer.take(Received(topic, "", payload, Attachment(1, 0, bytes(16)), stamp_ns))
+    return Received(topic, "", payload, Attachment(1, 0, bytes(16)), stamp_ns)
 
 
 def wall_camera(
@@ -261,6 +266,16 @@ def tumbling(time_s: float) -> RigidTransform:
     )
     sway = [0.2 * np.sin(1.1 * time_s), 0.15 * np.sin(1.3 * time_s), 3.2 + 0.4 * np.sin(0.8 * time_s)]
     return make_pose(translation_m=sway, rotation=turn * rotation_of(make_pose(rotation=FACING)))
+
+
+@cache
+def tumbling_truth() -> tuple[Received, ...]:
+    """Return the truth of this motion at 50 Hz, from 0.5 s to 18 s."""
+    stamps = [(step / 50, EPOCH_NS + round(step * SECOND_NS / 50)) for step in range(25, 900)]
+    return tuple(
+        heard(TRUTH, stamp_ns, write_odometry(odometry_of(stamp_ns, tumbling(time_s))))
+        for time_s, stamp_ns in stamps
+    )
 
 
 @cache
@@ -321,11 +336,10 @@ def facility_seen(
 ) -> Observations:
     """Return what came of an emulated sensor of the facility, beside truth; ``late_s`` as of ``later``."""
     sensor, frames = facility_frames(kind)
-    truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)))
     return watched(
         kind, later(frames, late_s, timed=timed), sensor.info(), latency_s=sensor.latency_s - late_s,
-        truth=truth, faults=faults, seed=seed, options=options, mount=MOUNT,
+        truth=tumbling_truth(), faults=faults, seed=seed, options=options, mount=MOUNT,
     )  # fmt: skip
 
 
@@ -347,7 +361,6 @@ def ideal_frames() -> tuple[PmdFrame, ...]:
 
 def ideal_camera(*faults: str, seed: int = 0, estimates: Any = (), late_s: float = 0.0) -> list[CheckResult]:
     """Return the results on the ideal camera, beside truth or estimates; its exposure lasts 16 ms."""
-    truth = [(EPOCH_NS + round(step * SECOND_NS / 100), tumbling(step / 100)) for step in range(50, 1800)]
     against = "estimate" if estimates else None
     options = Options(rate_hz=5.0, surface=Surface.of(load_target(TARGET)), against=against)
     info = INFO.model_copy(update={"integration_time_s": 16e-3})
@@ -357,7 +370,7 @@ def ideal_camera(*faults: str, seed: int = 0, estimates: Any = (), late_s: float
             later(ideal_frames(), late_s),
             info,
             latency_s=0.01 - late_s,
-            truth=() if estimates else truth,
+            truth=() if estimates else tumbling_truth(),
             estimates=estimates,
             faults=faults,
             seed=seed,

@@ -80,7 +80,7 @@ class FacilityProcess:
         assert self._process.stderr
         self.stdout, self.stderr = Lines(self._process.stdout), Lines(self._process.stderr)
         self.services: dict[str, psutil.Process] = {}
-        """By verb, as they were when the test last looked."""
+        """By verb, as they were when the test last looked; processes of services by their id."""
 
     # --- while it runs ---
 
@@ -88,7 +88,7 @@ class FacilityProcess:
         """Wait until all services have been started."""
         self.stderr.wait_for("waiting for")
         children = psutil.Process(self._process.pid).children(recursive=True)
-        self.services = {child.cmdline()[3]: child for child in children}
+        self.services = {_name_of(child): child for child in children}
 
     def await_playing(self) -> None:
         """Wait until the scenario plays and its truth is in the log."""
@@ -151,6 +151,11 @@ class Finished:
     def summary(self) -> Summary:
         """What stands in ``summary.json``."""
         return Summary.model_validate_json((self.directory / "summary.json").read_text("utf-8"))
+
+
+def _name_of(process: psutil.Process) -> str:
+    command = process.cmdline()  # empty for one that has just ended
+    return command[3] if command[1:3] == ["-m", "rpod"] else str(process.pid)
 
 
 def until(condition: Callable[[], T]) -> T:

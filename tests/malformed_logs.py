@@ -1,4 +1,4 @@
-"""Logs that hold one malformed message: every topic, cut short, empty, and with a stamp that cannot be."""
+"""Logs with malformed messages of one topic: cut short, empty, and with stamps that cannot be."""
 
 import struct
 from collections.abc import Callable
@@ -47,7 +47,6 @@ FAULTS = (
     Fault("before-all-time", _stamped(-1)),
     Fault("far-ahead", _stamped(2**31 - 1)),
 )
-KINDS = [(topic, fault) for topic in TOPICS for fault in FAULTS]
 
 
 def write_good(path: Path, run: SyntheticRun) -> Path:
@@ -55,9 +54,9 @@ def write_good(path: Path, run: SyntheticRun) -> Path:
     return _rewritten(run.write(path.with_suffix(".plain.mcap")), path, _others())
 
 
-def write_malformed(good: Path, path: Path, topic: str, fault: Fault) -> Path:
-    """Write a log in which a malformed copy of a topic's first message follows that message."""
-    return _rewritten(good, path, {}, topic, fault)
+def write_malformed(good: Path, path: Path, topic: str) -> Path:
+    """Write a log in which malformed copies of a topic's first message, one of each fault, follow it."""
+    return _rewritten(good, path, {}, topic)
 
 
 def _others() -> dict[Topic, bytes]:
@@ -77,9 +76,7 @@ def _others() -> dict[Topic, bytes]:
     return {topic: bytes(encode(message)) for topic, message in messages.items()}
 
 
-def _rewritten(
-    source: Path, path: Path, more: dict[Topic, bytes], topic: str = "", fault: Fault | None = None
-) -> Path:
+def _rewritten(source: Path, path: Path, more: dict[Topic, bytes], topic: str = "") -> Path:
     with source.open("rb") as stream, path.open("wb") as out:
         reader, writer = make_reader(stream), Writer(out, compression=CompressionType.LZ4)
         writer.start(profile="ros2", library="synthetic")
@@ -94,7 +91,7 @@ def _rewritten(
                 channels[name] = writer.register_channel(name, MESSAGE_ENCODING, schema)
             writer.add_message(channels[name], log_ns, data, publish_ns, sequence)
 
-        pending = fault
+        pending = FAULTS if topic else ()
         for schema, channel, message in reader.iter_messages():
             times = {"publish_ns": message.publish_time, "sequence": message.sequence}
             put(channel.topic, schema.name, message.data, log_ns=message.log_time, **times)
@@ -108,12 +105,13 @@ def _rewritten(
                     sequence=1,
                 )
             more = {}
-            if pending is not None and channel.topic == f"/{topic}":
+            if pending and channel.topic == f"/{topic}":
                 at = 8 if topic in STAMP_IN_EACH else 4
-                damaged = pending.change(bytes(message.data), at)
-                times["sequence"] += 10**6
-                put(channel.topic, schema.name, damaged, log_ns=message.log_time + 1, **times)
-                pending = None
-        assert pending is None, f"no message of {topic}"
+                for number, fault in enumerate(pending, start=1):
+                    damaged = fault.change(bytes(message.data), at)
+                    times["sequence"] += 10**6
+                    put(channel.topic, schema.name, damaged, log_ns=message.log_time + number, **times)
+                pending = ()
+        assert not pending, f"no message of {topic}"
         writer.finish()
     return path

@@ -13,8 +13,9 @@ from rpod_target import load_target
 _TARGET = "mockup"
 _SAY_S = 30.0
 """Time after which the user is told that it still compiles, s."""
-_FRAMES = 3
-"""Frames on which each method is tried: the first pose, and what follows only from a pose."""
+_FRAMES = 12
+"""Frames on which each method is tried: the first pose, and what follows only from a pose. Methods that are
+no default get a third of them, and ``epnp`` uses only frames that show the nose."""
 
 
 def compile_command() -> int:

@@ -222,7 +222,7 @@ def test_an_exception_of_a_worker_is_told_as_what_it_is(tmp_path, dask):
 def test_a_trial_that_ends_every_worker_is_named(tmp_path, site, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", f"{site}:{Path(__file__).parents[1]}")
     with pytest.raises(WorkerDiedError, match=r"ended 3 times .*counting, cell 1 .*factor=99"):
-        run_campaign(counting(tmp_path, ranges=(1.0, 99.0), trials=3), Cluster("local:1"))
+        run_campaign(counting(tmp_path, ranges=(1.0, 99.0), trials=3), Cluster("local:1", patience_s=200.0))
     assert {cell for cell, _ in counting(tmp_path, ranges=(1.0, 99.0), trials=3).done} == {0}
 
 

@@ -67,7 +67,9 @@ class Surface:
             nearest: in: a guess of each point's triangle, shape (N,); out: the closest triangle.
         """
         closest_m: FloatArray = closest_points(
-            Triangles(self.triangles_m, self.centres_m, self.radii_m, usable), points_m, nearest
+            Triangles(self.triangles_m, self.centres_m, self.radii_m, usable),
+            np.ascontiguousarray(points_m),  # compiled once, whatever the layout of the points
+            nearest,
         )
         return closest_m
 
@@ -82,6 +84,7 @@ class Surface:
             nearest: out: the triangle of each point's foot, shape (N,); -1 for a point that lies above or
                 below no triangle and is returned unchanged.
         """
+        points_m = np.ascontiguousarray(points_m)
         projected_m: FloatArray = projected_points(points_m, self.triangles_m, self.normals, usable, nearest)
         return projected_m
 

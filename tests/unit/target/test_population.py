@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
+from rpod_schemas.config.base import check
 from rpod_target import TargetError, load_target
 from rpod_target.loading import _read
+from rpod_target.parameters import TargetParameters
 from rpod_target.population import MATERIALS, POPULATIONS, name_of, random_satellite, satellite_of
 from rpod_target.population.satellite import SIZES_M, SMALL_SIZES_M, TRIANGLES
 from rpod_target.symmetry import find_symmetries
@@ -144,6 +146,8 @@ def test_a_small_one_is_the_same_satellite_at_another_size():
 
 def test_every_parameter_file_is_valid(drawn):
     for each in drawn:
-        _, parameters, meshes = _read(each.name)
+        parameters = check(TargetParameters, yaml.safe_load(each.parameters), source=each.name)
         assert parameters.name == each.name
-        assert set(meshes) == {part.file for part in parameters.parts}
+        assert set(each.meshes) == {part.file for part in parameters.parts}
+    path, parameters, meshes = _read(drawn[-1].name)
+    assert (str(path), parameters.name, meshes.keys()) == (each.name, each.name, dict(each.meshes).keys())

@@ -317,7 +317,7 @@ class ReverseCalibrationIcp:
         """Return the visible model points with their matches."""
         config = self._config
         model_m = self._target.model_points_m[shown]
-        points_m = T_sensor_target.apply(model_m)
+        points_m = np.ascontiguousarray(T_sensor_target.apply(model_m))  # the kernel is compiled once
         direct_m = width * config.direct_m if self._slides else 0.0
         measured_m, kind = find_matches(
             points_m,
