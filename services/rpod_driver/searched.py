@@ -22,7 +22,7 @@ from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
 from rpod_target import Target
 
 _LINE = "target"
-_FRAMES = 6
+_FRAMES = 8
 _NEEDED = 4
 """Number of frames that one assumption must explain and the other not: by chance once in 16."""
 _ENOUGH = 3
