@@ -37,7 +37,8 @@ def ended(verb: str, file: Path) -> tuple[int, str]:
 def the_line(verb: str, file: Path, code: int = 2) -> str:
     found, stderr = ended(verb, file)
     assert found == code, stderr
-    (line,) = stderr.splitlines()
+    *told, line = stderr.splitlines()
+    assert all(" INFO " in each for each in told), stderr
     return line
 
 
