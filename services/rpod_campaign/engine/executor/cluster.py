@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 import polars as pl
@@ -73,11 +74,11 @@ class Cluster:
         if not batches.left:
             return
         job = _job(work)
-        with _quiet(), _scheduler(self._address) as address:
+        with _quiet(), _scheduler(self._address) as (address, complete):
             while batches.left:
                 with self._connection(address) as client, suppress(SchedulerLostError):
                     dispatch = Dispatch(client, work, job, batches, note=self._note)
-                    for arrived in dispatch.run(address, patience_s=self._patience_s):
+                    for arrived in dispatch.run(address, patience_s=self._patience_s, complete=complete):
                         _keep(work, arrived)
                         if arrived.new:
                             yield Finished(arrived.batch[0].cell, arrived.new, None)
@@ -126,11 +127,14 @@ def _keep(work: Work, arrived: Arrived) -> None:
 
 
 @contextmanager
-def _scheduler(address: str) -> Iterator[str]:
-    """Yield the address of the scheduler, which is started here for ``local:N``."""
+def _scheduler(address: str) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Yield the address of the scheduler, which is started here for ``local:N``, and how it is completed.
+
+    Dask does not start a worker again that ended while its start was not over yet.
+    """
     local = _LOCAL.fullmatch(address)
     if local is None:
-        yield address
+        yield address, lambda: None
         return
     environment = dict.fromkeys(ONE_THREAD, "1")
     start: Any = LocalCluster  # its annotations are incomplete
@@ -144,7 +148,7 @@ def _scheduler(address: str) -> Iterator[str]:
             silence_logs=logging.CRITICAL,
         ) as cluster,
     ):
-        yield str(cluster.scheduler_address)
+        yield str(cluster.scheduler_address), partial(cluster.scale, int(local[1]))
 
 
 @contextmanager

@@ -89,12 +89,15 @@ class Dispatch:
         self._longest_s = 0.0
         """Time of the longest batch so far, s."""
 
-    def run(self, address: str, *, patience_s: float) -> Generator[Arrived]:
+    def run(
+        self, address: str, *, patience_s: float, complete: Callable[[], None] = lambda: None
+    ) -> Generator[Arrived]:
         """Yield batches as they come back.
 
         Args:
             address: address of the scheduler, for messages.
             patience_s: longest time without a worker that may run the trials, s.
+            complete: starts the workers of the cluster that are missing, where there are none.
 
         Raises:
             SchedulerLostError: the connection is lost; the unfinished trials are put back.
@@ -109,6 +112,8 @@ class Dispatch:
                 yield from self._collect()
                 if time.monotonic() - self._looked_s > _LOOK_S:
                     self._look()
+                    if not self._workers:
+                        complete()
                     self._require_workers(address, patience_s)
                     self._watch(patience_s)
         finally:
