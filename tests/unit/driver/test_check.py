@@ -359,7 +359,7 @@ def test_a_load_that_comes_is_no_drift_of_the_clock():
 
 
 def test_surfaces_that_are_no_plane_tell_no_depth_model(monkeypatch):
-    """Of a tumbling target that a good camera saw live: curved by 12 and 20 times what a plane would be."""
+    """A good camera measured these values live before a tumbling target, whose surface is no plane."""
     curved = iter([-11.8, -20.1, 1.47, 0.65] * 3)
 
     def flatness(_):

@@ -39,8 +39,8 @@ SHIFT_SHARE = 0.3
 """Standard deviation of a start's shift along each axis, over the motion by its turn. Numerics: most starts
 are then as far away as by their turn alone."""
 EXPECTED_RISE = 3.0
-"""Mean rise of minus a log likelihood from its best pose to those of its covariance. Physics: half of the six
-degrees of freedom."""
+"""Expected rise of minus a true log likelihood from its best pose to one drawn from its covariance. Physics:
+half of the six degrees of freedom."""
 DRAWN = 8
 """Number of poses that are drawn from a covariance. Numerics: a budget; a mean of eight is within a third."""
 DAMPED = 1e-9
