@@ -82,8 +82,6 @@ class _Aligned:
     """R_sensor_target, shape (3, 3)."""
     t: FloatArray
     """Position of the target's origin, sensor axes, shape (3,), m."""
-    shown_t: FloatArray
-    """The position at which the depth shows it, with the bias of the ranges that the tracker found."""
     registration: Registration
     losses: FloatArray
     """Losses in the frame before and after the alignment, shape (2,)."""
@@ -229,8 +227,9 @@ class ViewSearch:
         """
         found = self._registered(task, pose)
         if found.T_sensor_target is None:
-            return _Aligned(pose.R, pose.t, pose.t, found, np.array((pose.fit.loss, np.inf)))
+            return _Aligned(pose.R, pose.t, found, np.array((pose.fit.loss, np.inf)))
         R, t = PoseArrays.of(found.T_sensor_target)
+        # where the depth shows the pose, with the bias of the ranges that the tracker found
         shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
         losses = np.array((pose.fit.loss, fitter.fit(R, shown_t).loss))
         if found.continues_track and per_loss * (losses[1] - losses[0]) > MOST_DROP_LOG:
@@ -242,7 +241,7 @@ class ViewSearch:
                     f"the alignment leads away from a pose that explains the frame {times:.1f} times better"
                 )
                 found = replace(found, belief=replace(contradicted(reason), evidence=found.belief.evidence))
-        return _Aligned(R, t, shown_t, found, losses)
+        return _Aligned(R, t, found, losses)
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether a pose near this one may be the target's, by what the whole frame shows there."""

@@ -203,7 +203,7 @@ def aligned_pose(turn_deg: float, losses: tuple[float, float], belief: Belief | 
     T = make_pose(rotation=Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation)
     registration = Registration(Source.PMD_JOINT, T, belief or Belief(), covariance=np.zeros((6, 6)))
     R, t = PoseArrays.of(T)
-    return _Aligned(R, t, t, registration, np.array(losses))
+    return _Aligned(R, t, registration, np.array(losses))
 
 
 def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_better_is_taken():
