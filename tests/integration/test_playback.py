@@ -1,11 +1,12 @@
 """A log onto a real bus: what subscribers get of it, and that an estimator takes it for its sensors."""
 
+from contextlib import ExitStack
 from dataclasses import replace
 from threading import Event
 from time import monotonic
 
 import pytest
-from live_bus import TIMEOUT_S, collect, daemon, first
+from live_bus import TIMEOUT_S, Bus, collect, daemon, first
 from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, SyntheticRun, approach, see_depth
 
 from rpod_analysis import AnalysisError, open_log
@@ -138,13 +139,18 @@ TRIES = 3
 
 
 def estimated(bus, log, config) -> tuple[list[bytes], list[bytes]]:
-    """Return the estimates and statuses of an estimator to which a log is played, half a second a frame."""
-    inbox, health = listen(bus, ESTIMATE, STATUS), Inbox()
-    bus.node("watcher").subscribe(DIAGNOSTICS, health.put)
-    with daemon(run_estimator, config):
-        await_ready(health)
-        play(log, bus.node("replay"), Playback(speed=0.2), stop=Event())
-        received = collect(inbox, 6 + 6)
+    """Return the estimates and statuses of an estimator to which a log is played, half a second a frame.
+
+    The nodes end with the try: a player that stays would tell the next estimator the end of the log's time.
+    """
+    with ExitStack() as stack:
+        mine = Bus(bus.endpoint, stack)
+        inbox, health = listen(mine, ESTIMATE, STATUS), Inbox()
+        mine.node("watcher").subscribe(DIAGNOSTICS, health.put)
+        with daemon(run_estimator, config):
+            await_ready(health)
+            play(log, mine.node("replay"), Playback(speed=0.2), stop=Event())
+            received = collect(inbox, 6 + 6)
     return tuple([bytes(item.payload) for item in by_topic(received, topic)] for topic in (ESTIMATE, STATUS))
 
 
