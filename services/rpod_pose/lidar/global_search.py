@@ -152,7 +152,11 @@ class GlobalSearch:
         if not poses:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
-        registration, belief = self._tracker.finish(whole, poses[0].R, poses[0].t), search.belief(poses[0])
+        registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
+        if not search.few and not search.is_settled(registration, poses):
+            poses = search.closed(poses)
+            registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
+        belief = search.belief(poses[0])
         if search.few and registration.T_sensor_target is not None:
             poses = search.ranked(poses)
             registration = self._tracker.placed(registration, poses[0], poses[0].information)

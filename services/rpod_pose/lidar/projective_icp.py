@@ -156,6 +156,7 @@ class ProjectiveIcp:
         if not (seen.range_m.any() and np.isfinite(found.information).all()):
             return self._registration(seen, found)
         sure = is_sure(found, seen.returns, self._reach) and self.model.informative(seen) >= MANY
+        sure = sure and self._is_settled(seen, found)
         posterior = None
         if not sure:
             found, posterior = self._resumed(seen, problem, found)
@@ -164,6 +165,10 @@ class ProjectiveIcp:
         turned, spread = self._turned(seen, problem, start, found)
         registration = self._placed(seen, turned, posterior if turned is found else None)
         return self._with_sizes(seen, problem, turned, _uncertain_by(registration, spread))
+
+    def _is_settled(self, seen: SeenScan, found: ScanRegistration) -> bool:
+        spread = neighbourhood(found.information, found.pose, self._reach, stretch=1.0)
+        return self.model.is_settled(seen, found.pose, spread)
 
     def _with_sizes(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration

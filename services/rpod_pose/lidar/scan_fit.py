@@ -21,7 +21,13 @@ from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
-from rpod_pose.lidar.posterior.sampled_posterior import Proposal, SampledPosterior, draws, sampled_posterior
+from rpod_pose.lidar.posterior.sampled_posterior import (
+    Proposal,
+    SampledPosterior,
+    draws,
+    log_likelihoods,
+    sampled_posterior,
+)
 from rpod_pose.lidar.scan_likelihood import (
     PEAK,
     STEEPEST,
@@ -36,6 +42,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
+from rpod_pose.search.even_samples import normal_steps
 from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
@@ -55,6 +62,10 @@ MARGIN = 3
 that moves farther is compared with fewer rays."""
 UNKNOWN_SIGMA_M = 0.05
 """Sigma of a range of a sensor that does not state it. Hand: pulsed LIDARs have errors of 2 to 5 cm."""
+
+DRAWN_POWER = 4
+"""Two to this power poses are drawn around one, to tell whether it is settled. Numerics: a budget; where a
+pose is some standard deviations off, several of 16 are likelier."""
 
 _UNEVEN = 0.15
 """Error of ranges that neighbours may share by their surface, over the stated sigma. Hand: 3 of 20 mm."""
@@ -219,6 +230,22 @@ class ScanModel:
             and evidence["disagreeing_share"] <= acceptance.inconsistent_share
         )
 
+    def is_settled(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> bool:
+        """Return whether a pose is as likely as those around it.
+
+        An alignment may stop beside the optimum, as where thousands of small faces leave it many steps. A
+        pose drawn from the covariance around an optimum is less likely than it, by three units on average.
+
+        Args:
+            seen: the scan.
+            pose: the pose.
+            covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
+        """
+        steps = normal_steps(DRAWN_POWER) @ np.linalg.cholesky(covariance).T
+        measured, rays = self._near(seen, pose)
+        logs = log_likelihoods(measured, pose, np.vstack((np.zeros(6), steps)), rays, self.assumed)
+        return bool(logs.max() <= logs[0] + CHANCE)
+
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
         """Return the posterior of the pose of the target in the sensor near a given one.
 
@@ -228,19 +255,19 @@ class ScanModel:
             covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, rather too large,
                 shape (6, 6).
         """
+        measured, rays = self._near(seen, pose)
+        proposal = Proposal(covariance, draws())
+        found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
+        return found
+
+    def _near(self, seen: SeenScan, pose: PoseArrays) -> tuple[FloatArray, Rays]:
+        """Return the measured ranges and the rays near the returns and the target at a pose."""
         hits = self._view.hits
         cast_faces(self._view.grid.arrays, self._rays.faces, pose.R, pose.t, hits.arrays)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
-        rays = Rays(
-            self._view.grid.block(rows, columns),
-            self._rays.faces,
-            np.empty(measured.shape, np.float32),
-            np.empty(measured.shape, np.int32),
-        )
-        proposal = Proposal(covariance, draws())
-        found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
-        return found
+        buffers = np.empty(measured.shape, np.float32), np.empty(measured.shape, np.int32)
+        return measured, Rays(self._view.grid.block(rows, columns), self._rays.faces, *buffers)
 
     def mean(
         self, seen: SeenScan, pose: PoseArrays, posterior: SampledPosterior

@@ -97,16 +97,19 @@ def is_sure(found: ScanRegistration, returns: int, reach: Reach) -> bool:
     return found.converged and bool(_deficit(found) <= -reach.surplus * returns)
 
 
-def neighbourhood(information: FloatArray, pose: PoseArrays, reach: Reach) -> FloatArray:
+def neighbourhood(
+    information: FloatArray, pose: PoseArrays, reach: Reach, *, stretch: float = STRETCH
+) -> FloatArray:
     """Return a covariance of (dtau, dtheta), (6, 6), that reaches the optima beside the one at a pose.
 
     Args:
         information: information about (dtau, dtheta) at the pose, shape (6, 6).
         pose: pose of the target in the sensor.
         reach: no optimum moves a point farther than to the next ray.
+        stretch: factor on the standard deviations; 1 for those of the pose.
     """
     held = np.diag(_held(pose, reach))
-    covariance: FloatArray = np.linalg.inv(information / STRETCH**2 + held).astype(np.float64)
+    covariance: FloatArray = np.linalg.inv(information / stretch**2 + held).astype(np.float64)
     return covariance
 
 

@@ -22,6 +22,7 @@ from rpod_pose.lidar.scan_registration import (
     settled,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
+from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
@@ -45,9 +46,9 @@ FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
 HALFWAY = 4.0
 """Greatest deficit per return of a pose that a refinement on the outline may still correct. Hand: a larger
 value refines more wrong poses, a smaller one may miss a right one."""
-GAIN = 5.0
-"""Gain of log likelihood after which a pose's near-symmetries are tried again. Hand: a pose 150 times as
-likely counts as another one; a smaller value costs time."""
+UNSETTLED = 0.1
+"""Share of its log likelihood that a pose may lack because its alignment stopped beside the optimum. Hand: a
+larger value samples the surroundings of more poses, a smaller one may miss a rival."""
 ABSORBED = 22.5
 """Squared distance of a pose from the mean of another's posterior, in its standard deviations, up to which it
 belongs to it. Physics: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
@@ -148,16 +149,14 @@ class ScanSearch:
         widest_m = max(config.tracking.tuning.widest_share * scanner.reach.radius_m, least_m)
         self._far_m = np.geomspace(widest_m, least_m, self._tuning.coarse_steps)
         self._rough_m, self._fine_m = FACE_SIGMAS * sigma_m, FINE_SIGMAS * sigma_m
+        self.few = self._is_fine or self.informative < self._tuning.sufficient_returns
+        """Whether several poses near the best one may be as likely: the returns are few, or tell little, or
+        the best pose was not settled after its alignment."""
 
     @property
     def informative(self) -> float:
         """Number of returns as ``ScanModel.informative`` counts it."""
         return self._scanner.statistics.informative(self.seen)
-
-    @property
-    def few(self) -> bool:
-        """Whether several poses near the best one may be as likely: the returns are few, or tell little."""
-        return self._is_fine or self.informative < self._tuning.sufficient_returns
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
@@ -189,24 +188,46 @@ class ScanSearch:
             chosen = self._finished(chosen)
             turned.append(chosen)
             found += [chosen, *self._turned(chosen, tuning.turns)]
-        few = self.few
-        best = self._distinct(found)[: tuning.few_finished if few else tuning.finished]
+        best = self._distinct(found)[: tuning.few_finished if self.few else tuning.finished]
         finished = self._distinct([self._improved(pose, self._fine_m) for pose in best])
-        if not finished:
-            return finished
-        likely = self._likely(finished)
-        if len(likely) == 1 and not few:
-            return finished
-        every = self._distinct([*map(self._outline_refined, likely), *finished[len(likely) :]])
-        return self._closed(every) if few else every
+        if self.few:
+            return self.closed(finished)
+        return self._outlined(finished) if len(self._likely(finished)) > 1 else finished
+
+    def closed(self, ranked: list[Pose]) -> list[Pose]:
+        """Return the poses, likeliest first, weighed by samples, with all turns of the best one.
+
+        This is for few returns, and for an alignment that was not settled.
+        """
+        self.few = True
+        return self._closed(self._outlined(ranked)) if ranked else ranked
+
+    def _outlined(self, ranked: list[Pose]) -> list[Pose]:
+        """Return the poses, likeliest first, of which those about as likely as the first have the outline."""
+        likely = self._likely(ranked)
+        return self._distinct([*map(self._outline_refined, likely), *ranked[len(likely) :]])
+
+    def is_settled(self, registration: Registration, poses: Sequence[Pose]) -> bool:
+        """Return whether the best pose, as registered, is at an optimum and no other pose is about as likely.
+
+        Alignments that stop at different distances from their optima do not compare.
+        """
+        if registration.T_sensor_target is None:
+            return True
+        pose = PoseArrays.of(registration.T_sensor_target)
+        turn = np.kron(np.eye(2), pose.R.T)
+        spread = turn @ registration.covariance @ turn.T
+        return len(self._likely(poses)) == 1 and self._scanner.statistics.is_settled(self.seen, pose, spread)
 
     def _closed(self, ranked: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, and all turns of the best one, refined as far as it is."""
         best = self._polished(ranked[0])
+        gain = max(best.fit.log_likelihood - ranked[0].fit.log_likelihood, 0.0)
         every = [best, *ranked[1:]]
         for _ in range(self._tuning.few_closures):
-            turned = self._likely([best, *self._turned(best, self._tuning.few_turns)])[1:]
-            every = self._distinct([best, *map(self._polished, turned), *every])
+            every = self._distinct([*every, *self._turned(best, self._tuning.few_turns)])
+            likely = self._likely(every, gain)
+            every = self._distinct([*map(self._polished, likely), *every[len(likely) :]])
             if every[0] is best:
                 break
             best = every[0]
@@ -220,12 +241,18 @@ class ScanSearch:
         return [best, *(other for other, inside in zip(others, near, strict=True) if not inside)]
 
     def _polished(self, pose: Pose) -> Pose:
-        """Return a pose refined on the outline, and then by samples of the posterior."""
-        return self._sampled(self._outline_refined(pose))
+        """Return a pose refined on the outline, and then by samples of the posterior, once."""
+        return pose if pose.sampled_mass is not None else self._sampled(self._outline_refined(pose))
 
-    def _likely(self, ranked: Sequence[Pose]) -> list[Pose]:
-        """Return the poses about as likely as the first, of poses with the likeliest first."""
-        least = ranked[0].fit.log_likelihood - self._tuning.rival_log_likelihood
+    def _likely(self, ranked: Sequence[Pose], gain: float = 0.0) -> list[Pose]:
+        """Return the poses about as likely as the first, of poses with the likeliest first.
+
+        Args:
+            ranked: the poses.
+            gain: log likelihood that the first has gained by a refinement that the others have not had.
+        """
+        most = max((pose.fit.log_likelihood for pose in ranked[:1]), default=0.0)
+        least = most - max(self._tuning.rival_log_likelihood, UNSETTLED * most) - gain
         return [pose for pose in ranked if pose.fit.log_likelihood >= least]
 
     def _finished(self, pose: Pose) -> Pose:
@@ -237,7 +264,7 @@ class ScanSearch:
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
         """Return whether a pose's near-symmetries were tried when it was about as likely as now."""
         return any(
-            near and pose.fit.log_likelihood <= other.fit.log_likelihood + GAIN
+            near and pose.fit.log_likelihood <= other.fit.log_likelihood + CHANCE
             for near, other in zip(self.are_close(pose, turned), turned, strict=True)
         )
 

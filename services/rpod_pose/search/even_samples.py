@@ -1,7 +1,10 @@
 """Points spread evenly over a unit cube, the same at each start."""
 
+from functools import cache
+
 import numpy as np
 import scipy
+from scipy.special import ndtri
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.tables import kept
@@ -14,6 +17,13 @@ def sobol(dimensions: int, power: int) -> FloatArray:
     """Return 2^power points of a scrambled Sobol sequence, always the same, shape (2^power, dimensions)."""
     inputs = dimensions, power, _SEED, scipy.__version__
     return kept("sobol", 1, inputs, lambda: {"points": _computed(dimensions, power)})["points"]
+
+
+@cache
+def normal_steps(power: int) -> FloatArray:
+    """Return 2^power standard normal steps in six dimensions, always the same, shape (2^power, 6)."""
+    steps: FloatArray = ndtri(sobol(6, power))
+    return steps
 
 
 def _computed(dimensions: int, power: int) -> FloatArray:

@@ -149,6 +149,24 @@ def sampled_posterior(
 
 
 @kernel
+def log_likelihoods(
+    range_m: FloatArray, start: PoseArrays, steps: FloatArray, rays: Rays, assumed: Assumptions
+) -> FloatArray:
+    """Return the log likelihoods of a scan at steps from a pose, shape (N,).
+
+    Args:
+        range_m: measured range of each ray, 0 without a return, shape (rows, columns).
+        start: pose of the target in the sensor.
+        steps: steps (dtau, dtheta), shape (N, 6).
+        rays: rays, target and buffers.
+        assumed: statistics of returns.
+    """
+    logs = np.empty(len(steps))
+    _fill_logs(logs, steps, range_m, start, no_triangles(start.R, start.t), rays, assumed)
+    return logs
+
+
+@kernel
 def _near(
     near: NearTriangles, x: FloatArray, start: PoseArrays, mean: FloatArray, rays: Rays
 ) -> NearTriangles:

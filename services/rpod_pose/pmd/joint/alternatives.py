@@ -22,7 +22,7 @@ from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped, turned
 from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.search.even_samples import sobol
+from rpod_pose.search.even_samples import normal_steps, sobol
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
@@ -150,18 +150,11 @@ def log_likelihoods(found: Sequence[Registration], loss: Callable[[State], float
     root = np.linalg.cholesky(covariance + DAMPED * np.diag(np.diag(covariance)))
     drawn = [
         State(PoseArrays(turned(R, R.T @ step[3:]), t + step[:3]), bias_m - float(ray @ step[:3]))
-        for step in drawn_steps() @ root.T
+        for step in normal_steps(int(np.log2(DRAWN))) @ root.T
     ]
     rises = np.array([loss(state) for state in drawn]) - losses[best]
     found_logs: FloatArray = -losses / max(2.0 * float(np.sqrt((rises**2).mean())) / EXPECTED_RISE, 1.0)
     return found_logs
-
-
-@cache
-def drawn_steps() -> FloatArray:
-    """Return standard normal steps in six dimensions, shape (``DRAWN``, 6), always the same."""
-    steps: FloatArray = ndtri(sobol(6, int(np.log2(DRAWN))))
-    return steps
 
 
 @cache

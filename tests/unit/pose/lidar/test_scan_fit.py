@@ -231,6 +231,22 @@ def test_samples_give_the_mean_and_the_covariance_of_a_pose_near_a_rough_one(see
     np.testing.assert_array_equal(found.mean, again.mean)
 
 
+def test_a_pose_is_settled_where_no_pose_around_it_is_clearly_likelier():
+    """At right poses, and not some standard deviations beside them, though the covariance is the same."""
+    settled = {True: 0, False: 0}
+    for seed in range(8):
+        T = random_pose(seed, 30.0)
+        seen = tracker(BULKY).view.seen(scan_at(T, frame=seed))
+        right = tracker(BULKY).track(scan_at(T, frame=seed), T).T_sensor_target
+        sigma = np.repeat((0.01, np.radians(0.1)), 3)
+        for step in (np.zeros(6), 5.0 * sigma):
+            pose = stepped(PoseArrays.of(right), step)
+            is_settled = tracker(BULKY).model.is_settled(seen, pose, np.diag(sigma**2))
+            settled[not step.any()] += is_settled
+    assert settled[True] == 8
+    assert settled[False] <= 1
+
+
 def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
     T = random_pose(0, 20.0)
     model, seen = tracker().model, tracker().view.seen(scan_at(T, frame=0))
