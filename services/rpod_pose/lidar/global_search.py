@@ -27,6 +27,7 @@ from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
 from rpod_pose.search.turns import Turns
@@ -98,11 +99,15 @@ class GlobalSearch:
         return Acquisition(replace(registration, belief=belief))
 
     def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
-        """Return the log likelihoods of a scan at registered poses, shape (N,): ports.Likelihoods."""
-        seen, model = self._seen(measurement), self._tracker.model
+        """Return the log likelihoods of a scan near registered poses, shape (N,): ports.Likelihoods.
+
+        They are integrals over the surroundings of each pose, by samples. Registrations that stop at
+        different distances from their optima do not compare.
+        """
+        search = self._search_in(self._seen(measurement))
         poses = (each.T_sensor_target for each in found if each.T_sensor_target is not None)
-        fits = (model.fit(seen, rotation_matrix(pose), pose.translation) for pose in poses)
-        return np.array([fit.log_likelihood for fit in fits])
+        sampled = (search.sampled_near(PoseArrays.of(pose)) for pose in poses)
+        return np.array([pose.log_mass(self._radius_m) for pose in sampled])
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
         tuning, whole = self._tuning, self._seen(measurement)

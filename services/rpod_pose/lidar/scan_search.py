@@ -240,6 +240,10 @@ class ScanSearch:
         near = [step @ best.information @ step <= ABSORBED for step in steps]
         return [best, *(other for other, inside in zip(others, near, strict=True) if not inside)]
 
+    def sampled_near(self, pose: PoseArrays) -> Pose:
+        """Return the pose by samples of the posterior near a given one."""
+        return self._polished(self._unrefined(pose.R, pose.t))
+
     def _polished(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline, and then by samples of the posterior, once."""
         return pose if pose.sampled_mass is not None else self._sampled(self._outline_refined(pose))
