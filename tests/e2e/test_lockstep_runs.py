@@ -4,13 +4,12 @@ Three facilities with a camera and a LIDAR run on this machine at the same time,
 others. Two of them have the same seed, with two hash seeds of Python.
 """
 
-import subprocess
-import sys
 from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
+from command_line import called
 from due_frames import due_frames
 from facility_process import FacilityProcess, Finished
 from logs import messages_of, read_closed
@@ -206,13 +205,7 @@ def test_json_prints_nothing_else(runs):
 @pytest.mark.parametrize("how", [(), ("--as-live",)], ids=["all frames", "as live"])
 def test_a_replay_makes_the_very_estimates_of_the_run(runs, due, how, tmp_path):
     log, out = runs["seven"].log, tmp_path / "again.mcap"
-    done = subprocess.run(
-        [sys.executable, "-m", "rpod", "replay", str(log), *how, "--out", str(out), "--json"],
-        capture_output=True,
-        text=True,
-        timeout=600.0,
-        check=False,
-    )
+    done = called("replay", log, *how, "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     report = ReplayReport.model_validate_json(done.stdout)
     assert (report.frames, report.missing, report.refused) == (len(due), 0, {})
