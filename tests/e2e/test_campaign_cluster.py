@@ -80,12 +80,13 @@ def test_another_packages_campaign_is_in_the_catalogue():
     assert find("counting") is CAMPAIGN
 
 
-def test_pool_one_worker_and_eight_give_the_same_rows(tmp_path, dask, worker):
+def test_pool_one_worker_and_eight_give_the_same_rows(tmp_path, dask):
     options = {"trials": 300, "ranges": (1.0, 2.0, 3.0)}
     pool = rows_of(run_campaign(counting(tmp_path / "pool", **options), ProcessPool(2)))
+    dask.start_worker("first")
     one = counting(tmp_path / "one", **options)
-    assert rows_of(run_campaign(one, Cluster(worker.address))).equals(pool)
-    for number in range(8):
+    assert rows_of(run_campaign(one, Cluster(dask.address))).equals(pool)
+    for number in range(7):
         dask.start_worker(f"worker-{number}")
     eight = counting(tmp_path / "eight", **options)
     assert rows_of(run_campaign(eight, Cluster(dask.address))).equals(pool)
