@@ -10,6 +10,11 @@ from pathlib import Path
 
 TESTS = Path(__file__).parent
 _READY_S = 60.0
+_IDLE = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+}
+"""Settings by which a process that waits for work does not look at itself a hundred times a second."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -27,7 +32,7 @@ class DaskProcesses:
     """A scheduler that comes again on its port, and workers."""
 
     def __init__(self, folder: Path, *paths: Path) -> None:
-        self.folder, self.environment = folder, os.environ | _ONE_THREAD
+        self.folder, self.environment = folder, os.environ | _ONE_THREAD | _IDLE
         self.environment["PYTHONPATH"] = os.pathsep.join(map(str, (*paths, TESTS)))
         self._file = folder / "scheduler.json"
         self._scheduler: subprocess.Popen[bytes] | None = None

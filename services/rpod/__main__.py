@@ -108,8 +108,6 @@ def _serve(
     **bus: Any,
 ) -> NoReturn:
     """Load a service's configuration, apply the options of the command line, and run the service."""
-    from rpod_target import TargetError
-
     source = config or f"rpod {verb}"
 
     def read() -> ConfigT:
@@ -127,8 +125,12 @@ def _serve(
     def serve(stop: Event) -> None:
         try:
             body(checked, version=__version__, stop=stop)
-        except TargetError as error:
-            raise ConfigurationError(source, "target", str(error)) from error
+        except ConfigurationError as error:
+            from rpod_target import TargetError
+
+            if isinstance(error, TargetError):
+                raise ConfigurationError(source, "target", str(error)) from error
+            raise
 
     raise typer.Exit(run_reloading(verb, serve, checked, read if config else None))
 

@@ -6,7 +6,6 @@ from math import cos, sin
 from typing import Protocol
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from rpod_motion.errors import MotionError
 from rpod_motion.trajectories.trajectory import TrajectoryState
@@ -124,6 +123,8 @@ def integrate_tumble(
     Raises:
         MotionError: the inertia is not that of a rigid body, or the integration fails.
     """
+    from scipy.integrate import solve_ivp  # noqa: PLC0415 - loaded in 0.2 s; only a tumbling target needs it
+
     _require_rigid_body(inertia_kg_m2)
     inverse: FloatArray = np.linalg.inv(inertia_kg_m2).astype(np.float64)
     momentum = _matrix(quaternion_xyzw) @ inertia_kg_m2 @ rate_rad_s

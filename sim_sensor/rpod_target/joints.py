@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray
@@ -161,6 +160,8 @@ def sampled(field: DistanceField, points_m: FloatArray) -> NDArray[np.float32]:
     They are trilinear inside the grid. Outside they are the distance at the grid's border plus the way there,
     which is at least the distance.
     """
+    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - few of all processes sample a field
+
     cells = (points_m - field.origin_m) / field.spacing_m
     inside = np.clip(cells, 0.0, np.array(field.values.shape) - 1.0)
     way_m = field.spacing_m * np.linalg.norm(cells - inside, axis=1)

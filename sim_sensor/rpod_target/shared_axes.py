@@ -3,7 +3,6 @@
 from itertools import permutations, product
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
@@ -63,6 +62,8 @@ def _distance_m(truth: Target, points_m: FloatArray) -> float:
 
 def _signed_m(truth: Target, points_m: FloatArray) -> FloatArray:
     """Return signed distances, (N,), m; outside of the grid, those at its rim and the distance to it."""
+    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - few of all processes sample a field
+
     field = truth.require_field()
     nodes = (points_m - field.origin_m) / field.spacing_m
     inside = nodes.clip(0.0, np.array(field.values.shape) - 1.0)

@@ -70,7 +70,7 @@ def test_a_second_interrupt_ends_the_run_at_once_and_the_services_follow(start):
     [
         ("emulator", "1", "emulator (session "),
         ("estimator", "max", "estimator (session "),
-        ("motion", "1", "motion (session "),
+        ("motion", "max", "motion (session "),
         ("router", "1", "the bus was lost: since "),
     ],
 )

@@ -53,9 +53,25 @@ def site(tmp_path_factory):
     sys.path.remove(str(folder))
 
 
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory, site):
+    with DaskProcesses(tmp_path_factory.mktemp("scheduler"), site) as processes:
+        yield processes
+
+
 @pytest.fixture
-def dask(tmp_path, site):
-    with DaskProcesses(tmp_path, site) as processes:
+def dask(scheduler):
+    """Return a scheduler to which a test adds workers of its own."""
+    yield scheduler
+    for name in list(scheduler.workers):
+        scheduler.kill_worker(name)
+
+
+@pytest.fixture(scope="module")
+def worker(tmp_path_factory, site):
+    """Return a scheduler with one worker, for tests that leave both as they are."""
+    with DaskProcesses(tmp_path_factory.mktemp("worker"), site) as processes:
+        processes.start_worker("a")
         yield processes
 
 
@@ -200,23 +216,21 @@ def test_a_worker_with_several_threads_is_refused(tmp_path, dask):
         run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
 
 
-def test_rows_go_back_to_the_client_where_a_worker_does_not_see_the_folder(tmp_path, dask, monkeypatch):
+def test_rows_go_back_to_the_client_where_a_worker_does_not_see_the_folder(tmp_path, worker, monkeypatch):
     hidden = cluster_module._job
     monkeypatch.setattr(cluster_module, "_job", lambda work: replace(hidden(work), folder="/not/here"))
-    dask.start_worker("far")
     campaign = counting(tmp_path, trials=40)
     expected = run_campaign(counting(tmp_path / "pool", trials=40), ProcessPool(1))
-    assert rows_of(run_campaign(campaign, Cluster(dask.address))).equals(rows_of(expected))
+    assert rows_of(run_campaign(campaign, Cluster(worker.address))).equals(rows_of(expected))
     assert once(campaign)
 
 
-def test_an_exception_of_a_worker_is_told_as_what_it_is(tmp_path, dask):
-    dask.start_worker("a")
+def test_an_exception_of_a_worker_is_told_as_what_it_is(tmp_path, worker):
     with pytest.raises(TrialFailedError, match="trial 0, seed 4: ArithmeticError: unlucky") as caught:
-        run_campaign(counting(tmp_path, ranges=(13.0,), seed=4), Cluster(dask.address))
+        run_campaign(counting(tmp_path, ranges=(13.0,), seed=4), Cluster(worker.address))
     assert isinstance(caught.value.__cause__, ArithmeticError)
     with pytest.raises(TrialFailedError, match="TwoPartsError: mesh: has no triangles"):
-        run_campaign(counting(tmp_path, ranges=(14.0,)), Cluster(dask.address))
+        run_campaign(counting(tmp_path, ranges=(14.0,)), Cluster(worker.address))
 
 
 def test_a_trial_that_ends_every_worker_is_named(tmp_path, site, monkeypatch):
@@ -226,20 +240,19 @@ def test_a_trial_that_ends_every_worker_is_named(tmp_path, site, monkeypatch):
     assert {cell for cell, _ in counting(tmp_path, ranges=(1.0, 99.0), trials=3).done} == {0}
 
 
-def test_a_target_whose_file_is_on_the_clients_machine_alone_is_sent(tmp_path, dask, monkeypatch):
+def test_a_target_whose_file_is_on_the_clients_machine_alone_is_sent(tmp_path, worker, monkeypatch):
     import rpod_target  # noqa: PLC0415
 
     shipped = Path(rpod_target.__file__).parent / "targets" / "envisat-slim.yaml"
     monkeypatch.chdir(tmp_path)
     Path("mine.yaml").write_text(shipped.read_text())
-    dask.start_worker("a")
     campaign = find("lidar-acquisition")
     options = campaign.options(
         target=("./mine.yaml",), method=("template-matching",), steps=(60.0,), ranges=(50.0,), trials=6
     )
     far = prepare(campaign, options, out=tmp_path / "far", version="1")
     near = prepare(campaign, options, out=tmp_path / "near", version="1")
-    rows = rows_of(run_campaign(far, Cluster(dask.address)))
+    rows = rows_of(run_campaign(far, Cluster(worker.address)))
     assert rows.equals(rows_of(run_campaign(near, ProcessPool(1))))
 
 

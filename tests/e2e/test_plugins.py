@@ -60,20 +60,20 @@ def test_the_tests_of_the_third_kind_pass(kind: Path):
 
 def test_a_third_kind_is_played_logged_reported_and_replayed(kind: Path, tmp_path: Path):
     scenario = EXAMPLES / KIND / "mono-tumbling.yaml"
-    summary = played(kind, scenario, tmp_path / "runs", duration_s=10.0)
+    summary = played(kind, scenario, tmp_path / "runs", duration_s=6.0)
     for topic in ("mono/image_raw", "mono/camera_info"):
-        assert summary["frames"][topic] == {"published": 100, "logged": 100, "missed": 0}
+        assert summary["frames"][topic] == {"published": 60, "logged": 60, "missed": 0}
     assert summary["completeness"]["reasons"] == []
     assert summary["completeness"]["complete"]
-    # in half of its time the approach is twice as fast: some frames are refused until the twist is known
-    assert summary["estimates"]["accepted"] >= 90
+    # the approach is three times as fast as its scenario's: frames may be refused until the twist is known
+    assert summary["estimates"]["accepted"] >= 54
     assert summary["modes"]["tracking_share"] > 0.9
     assert summary["error"]["attitude_deg"]["rms"] < 0.5
     assert summary["error"]["position_m"]["rms"] < 0.05
     log = Path(summary["log"])
     assert "mono" in (log.parent / "report.html").read_text()
     report = json.loads(with_packages(kind, "replay", str(log), "--json"))
-    assert report["difference"]["identical"] == report["difference"]["common"] >= 90
+    assert report["difference"]["identical"] == report["difference"]["common"] >= 54
 
 
 def test_without_the_package_an_error_names_the_kind_and_the_remedy(tmp_path: Path):

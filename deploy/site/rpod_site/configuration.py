@@ -19,6 +19,7 @@ from pydantic_core import PydanticUndefined
 from rpod_schemas.config.base import Config
 from rpod_schemas.config.tuning import Tuning, provenance_of
 from rpod_site.field_types import bounds, default_text, type_text
+from rpod_site.sentences import described
 
 _INDEX = """# Configuration
 
@@ -51,12 +52,14 @@ def write(folder: Path) -> None:
 
 
 def models() -> list[type[BaseModel]]:
-    """Return every configuration model of the project, in the order of its source."""
+    """Return every configuration model of the project, its fields described, in the order of its source."""
     for package in {name.partition(".")[0] for name in _modules()}:
         importlib.import_module(package)
     for name in _modules():
         importlib.import_module(name)
     found = [model for model in _below(Config) if not model.__name__.startswith("_")]
+    for model in found:
+        described(model)
     return sorted(set(found), key=lambda model: (model.__module__, inspect.getsourcelines(model)[1]))
 
 

@@ -37,11 +37,13 @@ _MOST_NAMED = 3
 
 
 class Config(BaseModel):
-    """Base of the models: frozen, closed to unknown fields, described by the docstrings under the fields."""
+    """Base of the models: frozen, closed to unknown fields, described by the docstrings under the fields.
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", arbitrary_types_allowed=True, use_attribute_docstrings=True
-    )
+    Only the reference reads these (``rpod_site.sentences``): pydantic would parse the source of every model
+    at each start of a service.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
 
 class _Live:

@@ -12,8 +12,6 @@ from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
-from rpod.summary_table import print_summary
-from rpod_analysis import AnalysisError
 from rpod_runtime import BusError
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
 from rpod_schemas.config.base import check
@@ -61,12 +59,10 @@ def run_command(
         with Progress(quiet=as_json) as progress:
             play(scenario, folder, speed=pace, progress=progress, view=view, pki=pki)
             progress.say("writing the report")
-            from rpod_analysis.report import write_report  # noqa: PLC0415 - loaded in half a second
-
-            paths = write_report(folder.logs)
+            paths = _report(folder)
     except (InterruptedRunError, KeyboardInterrupt):
         return _fail("interrupted", EXIT_INTERRUPTED, folder)
-    except (RunError, BusError, SecurityError, AnalysisError, OSError) as error:
+    except (RunError, BusError, SecurityError, OSError) as error:
         return _fail(error, EXIT_FAILURE, folder)
     summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
     if as_json:
@@ -74,6 +70,18 @@ def run_command(
     else:
         _print(summary, paths)
     return EXIT_OK
+
+
+def _report(folder: RunFolder) -> "ReportPaths":
+    """Write the report of a run. Raises ``RunError``."""
+    # loaded in a second, which the start of the services would wait for
+    from rpod_analysis import AnalysisError  # noqa: PLC0415
+    from rpod_analysis.report import write_report  # noqa: PLC0415
+
+    try:
+        return write_report(folder.logs)
+    except AnalysisError as error:
+        raise RunError(str(error)) from error
 
 
 def _scenario(name: str, *, duration_s: float | None, seed: int | None) -> Scenario:
@@ -93,6 +101,8 @@ def _speed(speed: str) -> Speed:
 
 
 def _print(summary: Summary, paths: "ReportPaths") -> None:
+    from rpod.summary_table import print_summary  # noqa: PLC0415 - it needs what the report loads
+
     console = Console()
     print_summary(summary, console)
     console.print(f"log      {summary.log}", soft_wrap=True, highlight=False)

@@ -6,7 +6,7 @@ the docstring under the field, or the ``description`` of a type that several cam
 
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from rpod_campaign.engine.trial.surroundings import SurroundingsName
 from rpod_schemas.config.base import Config, Positive
@@ -59,6 +59,8 @@ class Provided:
 
 class Options(Config):
     """Options of every campaign."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
     title: ClassVar[str] = ""
     """Title of the campaign, one line."""

@@ -21,6 +21,7 @@ from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
 from rpod_sim_sensor.worlds import world_of
+from rpod_site.sentences import described
 
 MOST_PUBLIC_FIELDS = 81
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
@@ -95,7 +96,7 @@ def _leaves(
     model: type[BaseModel], *, given: Provenance | None, tuning: bool
 ) -> Iterator[tuple[str, FieldInfo, Provenance | None]]:
     hints = get_type_hints(model, include_extras=True)
-    for name, field in model.model_fields.items():
+    for name, field in described(model).items():
         provenance = provenance_of(hints[name]) or given
         default = field.get_default(call_default_factory=True, validated_data={})
         chosen = isinstance(default, BaseModel)
