@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.strict_yaml import read_yaml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -83,8 +84,8 @@ def read_document(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigurationError(path, "", "is not UTF-8 text") from error
     try:
-        document = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
-    except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
+        document = tomllib.loads(text) if path.suffix == ".toml" else read_yaml(text)
+    except (ValueError, yaml.YAMLError) as error:  # of TOML, also for a number of too many digits
         raise ConfigurationError(path, "", _syntax(error)) from error
     except RecursionError as error:
         raise ConfigurationError(path, "", _TOO_DEEP) from error
