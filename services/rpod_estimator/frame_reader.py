@@ -22,7 +22,7 @@ from rpod_runtime.sensor_data.end_watch import Last, last_of
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import ConfigurationError, MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
 from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.sensors import sensor_kind
@@ -95,6 +95,10 @@ class FrameReader:
         self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
         self.leading[sensor.name] = next(iter(kind.parts))
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
+            if other := self.parts.get(topic.name):
+                told = f"the topic {topic.name!r} is the {other[1]} of the sensor {other[0]} already"
+                remedy = "give each sensor its own topics, or its driver's namespace"
+                raise ConfigurationError(sensor.name, "source.topics", f"{told}; {remedy}")
             self.streams += (topic,)
             self.parts[topic.name] = sensor.name, name
 

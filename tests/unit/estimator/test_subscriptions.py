@@ -885,11 +885,21 @@ def test_topics_stamps_and_pairing_of_a_driver_are_configuration():
     [
         ({"topics": {"depth": "d"}}, "'camera_info' is missing"),
         ({"topics": {"depth": "d", "camera_info": "c", "infra": "i"}}, "'infra' is no part of a PMD camera"),
+        ({"topics": {"depth": "d", "camera_info": "d"}}, "depth and camera_info have the topic 'd'"),
     ],
 )
 def test_topics_that_make_no_frame_are_told(source, text):
     with pytest.raises(ConfigurationError, match=text):
         Bench(sensors=[{"kind": "pmd", "source": source}])
+
+
+def test_two_sensors_of_the_same_topics_are_told():
+    """As where a preset is copied for a second camera, and its namespace is not changed."""
+    sensors = [{"kind": "pmd", "name": name, "source": FOREIGN} for name in ("left", "right")]
+    with pytest.raises(
+        ConfigurationError, match=r"right: source\.topics: .* is the depth of the sensor left"
+    ):
+        Bench(sensors=sensors)
 
 
 def told_of_scans(late_s, *, last_s=0.05, source=None):

@@ -48,6 +48,8 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
         ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "is -1; it must be greater than 0"),
         ({"inner": {"rate": 1}}, "inner.rate", "did you mean rate_hz? (and 1 more: inner.rate_hz)"),
         ({"iner": {"rate_hz": 1}}, "iner", "did you mean inner?"),
+        ({"inner": {"rate_hz": 1}, "names": "front"}, "names", "is 'front'; it must be a list"),
+        ({"inner": ["rate_hz"]}, "inner", "is ['rate_hz']; it must be a mapping, that is named fields"),
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
             "T_chaser_sensor",
