@@ -22,7 +22,7 @@ from rpod_runtime.sensor_data.end_watch import Last, last_of
 from rpod_runtime.sensor_data.extrinsics import Extrinsics
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import ConfigurationError, MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
 from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.sensors import sensor_kind
@@ -80,6 +80,7 @@ class FrameReader:
         self._read_infos: dict[str, Received] = {}
         self._setups = SetupCheck()
         self._frame_ids: dict[str, str] = {}
+        self._leaders: dict[str, Peer] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
         self._contents: dict[str, tuple[memoryview, int]] = {}
@@ -95,6 +96,10 @@ class FrameReader:
         self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
         self.leading[sensor.name] = next(iter(kind.parts))
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
+            if other := self.parts.get(topic.name):
+                told = f"the topic {topic.name!r} is the {other[1]} of the sensor {other[0]} already"
+                remedy = "give each sensor its own topics, or its driver's namespace"
+                raise ConfigurationError(sensor.name, "source.topics", f"{told}; {remedy}")
             self.streams += (topic,)
             self.parts[topic.name] = sensor.name, name
 
@@ -171,6 +176,7 @@ class FrameReader:
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
         """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
         leading = frame.parts[self.leading[sensor]]
+        self._succeed(sensor, leading.peer)
         self._inform(sensor, leading.session)
         data = self._readers[sensor].read(frame)
         if data.lens is not None:
@@ -187,6 +193,22 @@ class FrameReader:
         except MessageRejectedError as rejection:
             raise PartRejectedError(leading, rejection) from rejection
         return Measurement(sensor, data, self._sources[sensor].boresight_mount(mount))
+
+    def _succeed(self, sensor: str, leader: Peer) -> None:
+        """Take note of the publisher of a sensor's frames.
+
+        Messages of rmw_zenoh name no session, so that nothing tells which mount and info are of the publisher
+        of the frames. Where another one takes over, those of the one before may be gone with it: the newest
+        count, and while a target is tracked they are compared with those of before.
+        """
+        before = self._leaders.get(sensor, leader)
+        self._leaders[sensor] = leader
+        if before == leader or before.session:
+            return
+        if sensor in self._frame_ids:
+            self._extrinsics.leave_unknown(self._frame_ids[sensor])
+        if (info := self._kinds[sensor].info) is not None:
+            self._infos.leave(lambda name: name == info.of(sensor).name, "")
 
     def arrived(self, sensor: str, frame: Assembled[Received], arrival_s: float) -> Arrived:
         """Return a frame with its measurement, or the reason for which it is refused.

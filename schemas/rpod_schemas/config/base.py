@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.strict_yaml import read_yaml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -24,12 +25,27 @@ ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 """Pattern of an endpoint of Zenoh."""
 ZENOH_ID = r"^[0-9a-f]{1,32}$"
 """Pattern of an identity of a Zenoh session."""
+NAMESPACE = r"^([A-Za-z0-9_]+(/[A-Za-z0-9_]+)*)?$"
+"""Pattern of the namespace of a ROS 2 node, without the slash at its begin."""
+TOPIC = r"^/?[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$"
+"""Pattern of a topic's name."""
 _PATTERNS = {
     _NAME: "needs a letter, then letters, digits, '_' or '-'",
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
+    NAMESPACE: "needs names of letters, digits and '_' with '/' between two, as robot1/camera",
+    TOPIC: "needs names of letters, digits, '_' or '-' with '/' between two, as /camera/depth/image_raw",
     ZENOH_ID: "needs 1 to 32 digits from 0 to 9 and a to f, such as e57a7e",
 }
 """Requirement on a text in words, by its pattern."""
+_NAMED_FIELDS = "a mapping, that is named fields"
+_FORMS = {
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dict_type": _NAMED_FIELDS,
+    "model_type": _NAMED_FIELDS,
+    "model_attributes_type": _NAMED_FIELDS,
+}
+"""Form that a field needs, by Pydantic's name of the error that it has another."""
 _UNKNOWN = "extra_forbidden"
 """Pydantic's name of the error that a field is not known."""
 _MOST_NAMED = 3
@@ -85,8 +101,8 @@ def read_document(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigurationError(path, "", "is not UTF-8 text") from error
     try:
-        document = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
-    except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
+        document = tomllib.loads(text) if path.suffix == ".toml" else read_yaml(text)
+    except (ValueError, yaml.YAMLError) as error:  # of TOML, also for a number of too many digits
         raise ConfigurationError(path, "", _syntax(error)) from error
     except RecursionError as error:
         raise ConfigurationError(path, "", _TOO_DEEP) from error
@@ -184,6 +200,8 @@ def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str
         reason = f"{told['discriminator']} is {told['tag']!r}; it must be one of {told['expected_tags']}"
     elif problem["type"] == "string_pattern_mismatch":
         reason = f"is {value!r}; {_PATTERNS.get(told.get('pattern', ''), reason)}"
+    elif problem["type"] in _FORMS:
+        reason = f"is {reprlib.repr(value)}; it must be {_FORMS[problem['type']]}"
     elif should and isinstance(value, bool | int | float | str):
         reason = f"is {reprlib.repr(value)}; it must {needs}"
     return reason.removeprefix("Value error, ")

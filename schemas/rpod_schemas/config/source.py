@@ -10,13 +10,19 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_schemas.config.base import Config, NonNegative, Positive, read_document
+from rpod_schemas.bounds import SCAN_TIME_S
+from rpod_schemas.config.base import NAMESPACE, TOPIC, Config, Positive, read_document
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.topics import COMPRESSED_IMAGE, Topic
 
 _NANOSECONDS = 1_000_000_000
 _MIDDLE = {"start": 0.5, "middle": 0.0, "end": -0.5}
 """Time from the stamp to the middle of exposure or scan, over its duration."""
+_LATEST_S = 2.0**31
+"""Latest stamp of a message, s (ICD section 1): no two clocks are farther apart."""
+_Span = Annotated[float, Field(ge=0.0, le=SCAN_TIME_S.high, allow_inf_nan=False)]
+"""Time that is not longer than the longest scan, s."""
 _TRANSPORTED = {"compressed", "compressedDepth"}
 """Last parts of the topics of image_transport whose messages are compressed images."""
 
@@ -27,26 +33,26 @@ FORWARD_BORESIGHT = make_pose(rotation=Rotation.from_matrix([[0, 0, 1], [-1, 0, 
 class SourceConfig(Config):
     """How a driver publishes a sensor, where it does not keep to the ICD."""
 
-    topics: dict[str, str] = Field(default_factory=dict)
+    topics: dict[str, Annotated[str, Field(pattern=TOPIC)]] = Field(default_factory=dict)
     """Topics of the sensor's parts (``depth``, ``camera_info``, ``amplitude``; ``points``), under
     ``namespace``, or with a leading slash under the bus's own. Where any is given, parts that are not given
     are not listened to. A topic that ends in ``/compressed`` or ``/compressedDepth`` brings compressed
     images."""
-    namespace: str = Field(default="", pattern=r"^([A-Za-z0-9_]+(/[A-Za-z0-9_]+)*)?$")
+    namespace: str = Field(default="", pattern=NAMESPACE)
     """First part of these topics: namespace and name of the driver's node, without slashes at its ends."""
     stamp: Literal["start", "middle", "end"] = "middle"
     """Instant of the exposure or scan that the stamps are of."""
-    duration_s: NonNegative = 0.0
+    duration_s: _Span = 0.0
     """Duration of an exposure or scan, s. Set it where ``stamp`` is ``start`` or ``end``; stamps are moved by
     half of it."""
-    clock_offset_s: float = Field(default=0.0, allow_inf_nan=False)
+    clock_offset_s: float = Field(default=0.0, ge=-_LATEST_S, le=_LATEST_S, allow_inf_nan=False)
     """Length by which the sensor's clock is ahead, s; it is subtracted from the stamps. 37 for a clock that
     keeps TAI."""
     arrives_within_s: Positive = 0.1
     """Time from the end of an exposure or scan within which its frame arrives: read-out, driver and link
     together, s. Where all frames take longer, the estimator says that stamps may be early. Raise it for a
     driver that is known to be slow."""
-    pair_within_s: NonNegative = 0.001
+    pair_within_s: _Span = 0.001
     """Greatest difference between the stamps of a frame's parts, s; it never counts beyond half the time
     between two frames."""
     depth: Literal["z", "radial"] = "z"
@@ -103,14 +109,24 @@ class SourceConfig(Config):
 def _read(value: Any) -> Any:
     """Return the document of a source: a file's, or one whose ``preset`` names a file, with changes to it."""
     if isinstance(value, str | Path):
-        return read_document(Path(value))
+        return _document(value)
     if isinstance(value, Mapping) and "preset" in value:
         changes = {name: field for name, field in value.items() if name != "preset"}
-        document = read_document(Path(value["preset"]))
-        if {"topics"} <= changes.keys() & document.keys():
-            changes["topics"] = {**document["topics"], **changes["topics"]}
+        document = _document(value["preset"])
+        given, changed = document.get("topics"), changes.get("topics")
+        if isinstance(given, Mapping) and isinstance(changed, Mapping):
+            changes["topics"] = {**given, **changed}
         return {**document, **changes}
     return value
+
+
+def _document(file: Any) -> dict[str, Any]:
+    if not isinstance(file, str | Path):
+        raise ValueError(f"preset is {file!r}, needs the path of a file, as deploy/sensors/realsense.yaml")
+    try:
+        return read_document(Path(file))
+    except ConfigurationError as error:  # so that the field is named, too
+        raise ValueError(str(error)) from error
 
 
 Source = Annotated[SourceConfig, BeforeValidator(_read)]

@@ -88,8 +88,8 @@ class SensorKind:
         """Return the topics of the parts that a sensor's driver sends, by the part's name.
 
         Raises:
-            ConfigurationError: the source names a part that the kind does not have, or lacks one without
-                which there is no frame.
+            ConfigurationError: the source names a part that the kind does not have, lacks one without which
+                there is no frame, or has one topic for two parts.
         """
         found = {name: source.topic(name, part.topic.of(sensor)) for name, part in self.parts.items()}
         wrong = [f"{name!r} is no part of a {self.title}" for name in source.topics if name not in found]
@@ -97,7 +97,13 @@ class SensorKind:
         if wrong:
             known = ", ".join(f"{name}{' (optional)' * (name in self.optional)}" for name in found)
             raise ConfigurationError(sensor, "source.topics", f"{wrong[0]}; name the topics of {known}")
-        return {name: topic for name, topic in found.items() if topic is not None}
+        topics = {name: topic for name, topic in found.items() if topic is not None}
+        parts: dict[str, str] = {}
+        for name, topic in topics.items():
+            if (other := parts.setdefault(topic.name, name)) != name:
+                reason = f"{other} and {name} have the topic {topic.name!r}; give each part its own"
+                raise ConfigurationError(sensor, "source.topics", reason)
+        return topics
 
     @property
     def topics(self) -> tuple[Topic, ...]:

@@ -20,7 +20,7 @@ from rpod_estimator.inputs.published import Published
 from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
-from rpod_runtime.delivery.holders import Holders, SecondPublisherError
+from rpod_runtime.delivery.holders import Holders, Peer, SecondPublisherError
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensor_data.drift_watch import DriftWatch
@@ -70,6 +70,7 @@ class Subscriptions:
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
+        self._used_with: dict[str, tuple[Peer, Peer]] = {}
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
         self._published = Published()
@@ -283,16 +284,29 @@ class Subscriptions:
                 f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
 
+    def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
+        """Return whether a part is as new as its frame: a part that lasts, of the publisher of the frames.
+
+        Where sessions are unknown, this is the publisher with whose frames the part was used first.
+        """
+        if part.session or leading.session:
+            return part.session == leading.session
+        name = part.topic.name
+        user, frames = self._used_with.get(name, (None, None))
+        if user != part.peer:
+            frames = leading.peer
+            self._used_with[name] = part.peer, leading.peer
+        return frames == leading.peer
+
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         arrival_s = max(part.arrival_s for part in frame.parts.values())
         try:
             for part in frame.parts.values():
                 self._holders.check(part.topic.name, part.peer, part.arrival_s)
             arrived = self._reader.arrived(sensor, frame, arrival_s)
-            session = frame.parts[self._reader.leading[sensor]].session
+            leading = frame.parts[self._reader.leading[sensor]]
             for part in frame.parts.values():
-                # A part that lasts is as new as the frames of its own session.
-                now_s = arrival_s if part.session == session else part.arrival_s
+                now_s = arrival_s if self._is_of_its_frames(part, leading) else part.arrival_s
                 self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
                 self._tell_mount(sensor, arrived.measurement)

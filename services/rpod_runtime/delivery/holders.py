@@ -221,10 +221,16 @@ class Announcements(Generic[ContentT]):
                 announced.gone |= announced.peer.session == session
 
     def release(self, *, keep: str) -> None:
-        """Let the content of the session ``keep`` count first, or the newest if it is empty."""
+        """Let the content of the session ``keep`` count first, or the newest if it is empty.
+
+        Content of publishers that are not gone goes before that of those that are, as in ``of``.
+        """
         for known in self._by_name.values():
-            first = [each for each in known if each.peer.session == keep] if keep else known[-1:]
-            known[:] = first[-1:] + [each for each in known if each not in first[-1:]]
+            kept = [each for each in known if each.peer.session == keep] if keep else list(known)
+            alive = [each for each in kept if not each.gone]
+            chosen = (alive or kept)[-1:]
+            others = [each for each in known if each not in chosen]
+            known[:] = chosen + others if alive else others + chosen
 
     def rivals(self, name: str) -> list[tuple[Peer, ContentT]]:
         """Return what the publishers of a name that are not gone have announced, the earliest first."""

@@ -57,6 +57,17 @@ class Extrinsics:
             )
         return mount
 
+    def leave_unknown(self, frame_id: str) -> None:
+        """Note that publishers of unknown sessions may be gone: the newest of their transforms count.
+
+        These are the transforms from a frame to the chaser.
+        """
+        frame, names = frame_id, set[str]()
+        while frame not in names and (found := self.announced.of(frame, "")) is not None:
+            names.add(frame)
+            _, (frame, _) = found
+        self.announced.leave(names.__contains__, "")
+
     def _chain(self, frame_id: str, session: str) -> RigidTransform | None:
         T_frame_sensor = RigidTransform.identity()
         frame = frame_id

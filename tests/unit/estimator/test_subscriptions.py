@@ -577,6 +577,61 @@ def test_another_info_is_not_used_while_tracked_but_another_exposure_is(stage):
     assert stage.bench.inputs.infos["pmd"].modulation_frequency_hz == [2e7]
 
 
+FIRST, SECOND = Peer(b"1" * 16), Peer(b"2" * 16)
+"""Publishers whose messages name no session, as those of rmw_zenoh."""
+
+
+@pytest.fixture
+def unnamed(stage):
+    """Return a stage whose first publisher names no session."""
+    stage.bench.inputs.request_reset(ResetRequest())
+    stage.mount(FIRST)
+    for topic in (TF_STATIC, *(each.of("pmd") for each in (DEPTH, CAMERA_INFO, AMPLITUDE))):
+        stage.bench.node.gone(EMULATOR.session, topic)
+    stage.wait(2.5)
+    assert stage.frame(FIRST) == 0.0
+    return stage
+
+
+@pytest.mark.parametrize("first_frames", [0, 3], ids=["before its frames", "after some frames"])
+def test_the_mount_of_a_successor_that_names_no_session_is_its_own(unnamed, first_frames):
+    """As where a driver is started again with a mount that was put right."""
+    unnamed.wait(2.5)
+    for _ in range(first_frames):
+        assert unnamed.frame(SECOND, tracked=False) == 0.0
+    unnamed.mount(SECOND, x_m=1.0)
+    assert unnamed.frame(SECOND, tracked=False) == 1.0
+    assert told(unnamed.bench, unnamed.now_s)[0] == Health.OK
+
+
+def test_another_mount_of_a_successor_that_names_no_session_is_not_used_while_tracked(unnamed):
+    unnamed.wait(2.5)
+    unnamed.mount(SECOND, x_m=1.0)
+    assert unnamed.frame(SECOND) is None
+    assert unnamed.reason.startswith("other_setup: the mount has moved by 1.000 m")
+    unnamed.bench.inputs.request_reset(ResetRequest())
+    assert unnamed.frame(SECOND) == 1.0
+
+
+def test_another_mount_beside_a_publisher_that_names_no_session_is_not_used(unnamed):
+    unnamed.mount(SECOND, x_m=1.0)
+    assert unnamed.frame(SECOND, tracked=False) is None
+    assert unnamed.frame(FIRST, tracked=False) == 0.0
+    level, message, _ = told(unnamed.bench, unnamed.now_s)
+    assert (level, "two publishers" in message) == (Health.WARN, True)
+
+
+def test_the_lens_of_a_successor_that_names_no_session_is_its_own(unnamed):
+    other = CAMERA.model_copy(update={"fx": 6.0})
+    for _ in range(3):
+        unnamed.wait(2.5)
+        unnamed.frame(SECOND, tracked=False, camera=None)
+    unnamed.frame(SECOND, tracked=False, camera=other)
+    assert "second_publisher" not in unnamed.reason
+    assert ("pmd/camera_info", "second_publisher") not in unnamed.bench.node.refused
+    assert unnamed.bench.inputs.health.rivals == []
+
+
 def test_a_reset_may_name_the_gid_to_keep(stage):
     stage.mount(DRIVER, x_m=1.0)
     assert stage.frame(DRIVER) is None
@@ -885,11 +940,21 @@ def test_topics_stamps_and_pairing_of_a_driver_are_configuration():
     [
         ({"topics": {"depth": "d"}}, "'camera_info' is missing"),
         ({"topics": {"depth": "d", "camera_info": "c", "infra": "i"}}, "'infra' is no part of a PMD camera"),
+        ({"topics": {"depth": "d", "camera_info": "d"}}, "depth and camera_info have the topic 'd'"),
     ],
 )
 def test_topics_that_make_no_frame_are_told(source, text):
     with pytest.raises(ConfigurationError, match=text):
         Bench(sensors=[{"kind": "pmd", "source": source}])
+
+
+def test_two_sensors_of_the_same_topics_are_told():
+    """As where a preset is copied for a second camera, and its namespace is not changed."""
+    sensors = [{"kind": "pmd", "name": name, "source": FOREIGN} for name in ("left", "right")]
+    with pytest.raises(
+        ConfigurationError, match=r"right: source\.topics: .* is the depth of the sensor left"
+    ):
+        Bench(sensors=sensors)
 
 
 def told_of_scans(late_s, *, last_s=0.05, source=None):

@@ -93,3 +93,18 @@ def test_of_what_was_announced_the_own_counts_first_then_the_earliest_that_is_no
     announcements.leave(lambda name: name == "frame", "two")
     assert announcements.of("frame", "another node") == (SECOND, "second")
     assert announcements.of("other", "") is None
+
+
+def test_a_reset_does_not_prefer_content_of_a_publisher_that_is_gone():
+    announced, first, second, third = Announcements(), Peer(b"1"), Peer(b"2", "two"), Peer(b"3", "three")
+    for peer in (first, second, third):
+        announced.put("mount", peer, peer.gid)
+    announced.leave(lambda _: True, "three")
+    announced.release(keep="")
+    assert announced.of("mount", "") == (second, b"2")
+    announced.leave(lambda _: True, "two")
+    announced.leave(lambda _: True, "")
+    announced.release(keep="")
+    assert announced.of("mount", "") == (third, b"3")  # all are gone: the newest
+    announced.put("mount", first, b"4")
+    assert announced.of("mount", "") == (first, b"4")

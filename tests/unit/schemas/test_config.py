@@ -48,6 +48,8 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
         ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "is -1; it must be greater than 0"),
         ({"inner": {"rate": 1}}, "inner.rate", "did you mean rate_hz? (and 1 more: inner.rate_hz)"),
         ({"iner": {"rate_hz": 1}}, "iner", "did you mean inner?"),
+        ({"inner": {"rate_hz": 1}, "names": "front"}, "names", "is 'front'; it must be a list"),
+        ({"inner": ["rate_hz"]}, "inner", "is ['rate_hz']; it must be a mapping, that is named fields"),
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
             "T_chaser_sensor",
@@ -115,6 +117,19 @@ def test_a_file_with_a_nearly_right_name_is_proposed_and_a_missing_folder_named(
     [
         ("a: 1\nb\nc: 2\n", "line 2, column 1: could not find expected ':'"),
         ("a: 1\n\tb: 2\n", "line 2, column 1: there is a tab; YAML is indented with spaces"),
+        (
+            "bus: {}\nseed: 1\nbus: {}\n",
+            "line 3, column 1: 'bus' is given a second time, after line 1; leave one of the two",
+        ),
+        (
+            "inner: {a: 1, b: 2, a: 3}",
+            "line 1, column 21: 'a' is given a second time, after line 1; leave one of the two",
+        ),
+        (
+            "a: 1\nepoch: 2026-13-01\n",
+            "line 2, column 8: is no value that can be read (month must be in 1..12); "
+            "quote it if it is a text",
+        ),
     ],
 )
 def test_an_error_of_syntax_is_told_with_its_line(tmp_path, text, words):
@@ -123,6 +138,24 @@ def test_an_error_of_syntax_is_told_with_its_line(tmp_path, text, words):
     with pytest.raises(ConfigurationError) as error:
         read_document(file)
     assert str(error.value) == f"{file}: {words}"
+
+
+@pytest.mark.parametrize("suffix", ["yaml", "toml", "json"])
+def test_a_number_of_too_many_digits_is_told_in_one_line(tmp_path, suffix):
+    file = tmp_path / f"bad.{suffix}"
+    number = "9" * 5000
+    file.write_text(
+        {"toml": f"seed = {number}", "json": f'{{"seed": {number}}}'}.get(suffix, f"seed: {number}")
+    )
+    with pytest.raises(ConfigurationError, match="5000 digits") as error:
+        read_document(file)
+    assert "\n" not in str(error.value)
+
+
+def test_a_mapping_may_change_what_it_merges(tmp_path):
+    file = tmp_path / "merged.yaml"
+    file.write_text("c: {<<: &b {<<: &a {x: 1, y: 1}, x: 2}, y: 3}\nb: *b\na: *a\n")
+    assert read_document(file) == {"c": {"x": 2, "y": 3}, "b": {"x": 2, "y": 1}, "a": {"x": 1, "y": 1}}
 
 
 def test_a_pose_is_written_as_it_is_read():

@@ -192,8 +192,8 @@ class EstimatorSettings(Config):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         names = [sensor.name for sensor in self.sensors]
-        if len(set(names)) < len(names):
-            raise ValueError("two sensors have the same name")
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"sensors: two have the name {twice[0]!r}; give each its own name")
         return self
 
 
