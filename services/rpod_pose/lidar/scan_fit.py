@@ -66,6 +66,8 @@ UNKNOWN_SIGMA_M = 0.05
 DRAWN_POWER = 4
 """Two to this power poses are drawn around one, to tell whether it is settled. Numerics: a budget; where a
 pose is some standard deviations off, several of 16 are likelier."""
+DAMPED = 1e-6
+"""Share of its variances that is added to a covariance before its root. Numerics: rounding."""
 
 _UNEVEN = 0.15
 """Error of ranges that neighbours may share by their surface, over the stated sigma. Hand: 3 of 20 mm."""
@@ -241,8 +243,11 @@ class ScanModel:
             pose: the pose.
             covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
         """
-        steps = normal_steps(DRAWN_POWER) @ np.linalg.cholesky(covariance).T
-        measured, rays = self._near(seen, pose)
+        if not np.isfinite(covariance).all():
+            return False
+        damped = covariance + DAMPED * np.diag(np.diag(covariance))
+        steps = normal_steps(DRAWN_POWER) @ np.linalg.cholesky(damped).T
+        measured, rays = self._cropped(seen, pose)
         logs = log_likelihoods(measured, pose, np.vstack((np.zeros(6), steps)), rays, self.assumed)
         return bool(logs.max() <= logs[0] + CHANCE)
 
@@ -255,12 +260,12 @@ class ScanModel:
             covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, rather too large,
                 shape (6, 6).
         """
-        measured, rays = self._near(seen, pose)
+        measured, rays = self._cropped(seen, pose)
         proposal = Proposal(covariance, draws())
         found: SampledPosterior = sampled_posterior(measured, pose, rays, self.assumed, proposal)
         return found
 
-    def _near(self, seen: SeenScan, pose: PoseArrays) -> tuple[FloatArray, Rays]:
+    def _cropped(self, seen: SeenScan, pose: PoseArrays) -> tuple[FloatArray, Rays]:
         """Return the measured ranges and the rays near the returns and the target at a pose."""
         hits = self._view.hits
         cast_faces(self._view.grid.arrays, self._rays.faces, pose.R, pose.t, hits.arrays)
