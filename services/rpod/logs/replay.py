@@ -82,7 +82,7 @@ def bus_command(
 
 def _service(options: BusOptions) -> ServiceConfig:
     bus = {"wait": options.wait} | ({"connect": options.connect} if options.connect else {})
-    document = {"instance": _INSTANCE, "bus": check(BusConfig, bus, source="rpod replay")}
+    document = {"instance": _INSTANCE, "bus": check(BusConfig, bus, source="--connect")}
     return check(ServiceConfig, document, source="rpod replay")
 
 
