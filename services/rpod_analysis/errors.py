@@ -57,6 +57,15 @@ class CannotWriteError(AnalysisError):
         super().__init__(f"{path}: {reason}")
 
 
+class BeyondEndError(AnalysisError):
+    """Playing begins after the end of the log."""
+
+    def __init__(self, path: Path, start_s: float, length_s: float) -> None:
+        super().__init__(
+            f"{path}: ends after {length_s:.1f} s, before --from {start_s:g}; give an earlier time"
+        )
+
+
 class NoEstimatesError(AnalysisError):
     """The log contains no estimates."""
 

@@ -2,7 +2,7 @@
 
 import reprlib
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from difflib import get_close_matches
 from itertools import chain, islice
@@ -285,3 +285,16 @@ def write(document: BaseModel, path: Path) -> Path:
 def load(model: type[Model], path: Path) -> Model:
     """Read and validate a configuration file. Raises ``ConfigurationError``."""
     return check(model, read_document(path), source=path)
+
+
+def in_place(value: Any, read: Callable[[Path], Any]) -> Any:
+    """Return what ``read`` makes of a file, if a value is a path that stands in its place, else the value.
+
+    An error of the file is one of the field that names it: ``ValueError`` in a validator.
+    """
+    if not isinstance(value, str | Path):
+        return value
+    try:
+        return read(Path(value))
+    except ConfigurationError as error:
+        raise ValueError(str(error)) from error

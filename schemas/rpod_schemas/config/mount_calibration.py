@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from rpod_schemas.arrays import Matrix6
-from rpod_schemas.config.base import Config, NonNegative, load, write
+from rpod_schemas.config.base import Config, NonNegative, in_place, load, write
 from rpod_schemas.poses import Pose, make_pose
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -54,7 +54,7 @@ class MountCalibration(Config):
 
 
 def _read(value: Any) -> Any:
-    return load(MountCalibration, Path(value)).T_chaser_sensor if isinstance(value, str | Path) else value
+    return in_place(value, lambda path: load(MountCalibration, path).T_chaser_sensor)
 
 
 Mount = Annotated[Pose, BeforeValidator(_read)]

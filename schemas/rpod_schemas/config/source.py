@@ -11,8 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.bounds import SCAN_TIME_S
-from rpod_schemas.config.base import NAMESPACE, TOPIC, Config, Positive, read_document
-from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.config.base import NAMESPACE, TOPIC, Config, Positive, in_place, read_document
 from rpod_schemas.poses import chained, make_pose
 from rpod_schemas.topics import COMPRESSED_IMAGE, Topic
 
@@ -108,8 +107,6 @@ class SourceConfig(Config):
 
 def _read(value: Any) -> Any:
     """Return the document of a source: a file's, or one whose ``preset`` names a file, with changes to it."""
-    if isinstance(value, str | Path):
-        return _document(value)
     if isinstance(value, Mapping) and "preset" in value:
         changes = {name: field for name, field in value.items() if name != "preset"}
         document = _document(value["preset"])
@@ -117,16 +114,14 @@ def _read(value: Any) -> Any:
         if isinstance(given, Mapping) and isinstance(changed, Mapping):
             changes["topics"] = {**given, **changed}
         return {**document, **changes}
-    return value
+    return in_place(value, read_document)
 
 
 def _document(file: Any) -> dict[str, Any]:
     if not isinstance(file, str | Path):
         raise ValueError(f"preset is {file!r}, needs the path of a file, as deploy/sensors/realsense.yaml")
-    try:
-        return read_document(Path(file))
-    except ConfigurationError as error:  # so that the field is named, too
-        raise ValueError(str(error)) from error
+    document: dict[str, Any] = in_place(file, read_document)
+    return document
 
 
 Source = Annotated[SourceConfig, BeforeValidator(_read)]

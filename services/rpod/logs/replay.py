@@ -82,17 +82,15 @@ def bus_command(
 
 def _service(options: BusOptions) -> ServiceConfig:
     bus = {"wait": options.wait} | ({"connect": options.connect} if options.connect else {})
-    document = {"instance": _INSTANCE, "bus": check(BusConfig, bus, source="rpod replay")}
+    document = {"instance": _INSTANCE, "bus": check(BusConfig, bus, source="--connect")}
     return check(ServiceConfig, document, source="rpod replay")
 
 
 def _check_playback(playback: Playback) -> None:
     if not playback.speed > 0.0:
-        raise ConfigurationError(
-            "rpod replay", "--speed", "is not a number above 0; give 1 for the recorded speed"
-        )
+        raise ConfigurationError("--speed", "", "is not a number above 0; give 1 for the recorded speed")
     if playback.end_s is not None and playback.end_s <= playback.start_s:
-        raise ConfigurationError("rpod replay", "--to", "is not after --from; give a later time")
+        raise ConfigurationError("--to", "", "is not after --from; give a later time")
 
 
 def _print_played(played: Played, *, as_json: bool) -> None:

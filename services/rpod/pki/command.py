@@ -1,11 +1,13 @@
 """``rpod pki`` from its arguments to its exit code."""
 
 import json
+import re
 import socket
 import sys
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from functools import wraps
+from ipaddress import ip_address
 from pathlib import Path
 from typing import ParamSpec
 
@@ -15,7 +17,7 @@ from rich.table import Table
 from rpod.play.secure_run import ROLES as OF_A_RUN
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_schemas.config.base import load
-from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig, SensorGrant
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import check
 from rpod_security.authority import FOLDER, Authority, Entry
@@ -26,6 +28,10 @@ from rpod_security.roles import ROLES, ROUTER
 
 P = ParamSpec("P")
 _LOCAL = "localhost", "127.0.0.1", "::1"
+_HOST = r"[A-Za-z0-9_]([A-Za-z0-9_.-]*[A-Za-z0-9_])?"
+"""Pattern of a host's name."""
+_PUBLISH = {"emulator": (SensorGrant(kind="pmd", name="pmd"), SensorGrant(kind="lidar", name="lidar"))}
+"""Sensors of the standard scenarios, by the member of a run that publishes them."""
 
 
 def _told(body: Callable[P, None]) -> Callable[P, int]:
@@ -38,8 +44,12 @@ def _told(body: Callable[P, None]) -> Callable[P, int]:
         except ConfigurationError as error:
             print(f"rpod pki: {error}", file=sys.stderr)
             return EXIT_USAGE
-        except (SecurityError, OSError) as error:
+        except SecurityError as error:
             print(f"rpod pki: {error}", file=sys.stderr)
+            return EXIT_FAILURE
+        except OSError as error:
+            about = f"{error.filename}: " if error.filename is not None else ""
+            print(f"rpod pki: {about}{error.strerror or error}", file=sys.stderr)
             return EXIT_FAILURE
         return EXIT_OK
 
@@ -49,15 +59,29 @@ def _told(body: Callable[P, None]) -> Callable[P, int]:
 @_told
 def init_command(folder: Path, *, hosts: Sequence[str], days: float) -> None:
     """Make an authority and the router's certificate."""
-    validity = timedelta(days=days)
+    validity, named_hosts = timedelta(days=days), _hosts(hosts)
     authority = Authority.create(folder, validity=validity)
-    router = authority.issue(ROUTER, ROUTER, validity=validity, hosts=_hosts(hosts))
+    router = authority.issue(ROUTER, ROUTER, validity=validity, hosts=named_hosts)
     print(f"{folder / FOLDER}: the authority. Keep it off the router's host: it can certify any name")
-    print(f"{router}: the router's credentials, for {', '.join(_hosts(hosts))}")
+    print(f"{router}: the router's credentials, for {', '.join(named_hosts)}")
 
 
 def _hosts(given: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*_LOCAL, socket.gethostname(), *given)))
+    return tuple(dict.fromkeys((*_LOCAL, socket.gethostname(), *_checked(given))))
+
+
+def _checked(hosts: Sequence[str]) -> tuple[str, ...]:
+    """Return names and addresses of hosts. Raises ``ConfigurationError``: no client can reach one of them."""
+    for host in hosts:
+        try:
+            ip_address(host)
+        except ValueError as error:
+            if not re.fullmatch(_HOST, host):
+                reason = (
+                    f"is {host!r}; needs the name or the address of a host, without a port, as lab-router"
+                )
+                raise ConfigurationError("--host", "", reason) from error
+    return tuple(hosts)
 
 
 @_told
@@ -69,7 +93,7 @@ def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[
         taken = {entry.name for entry in authority.valid}
         wanted = {each: its for each, its in OF_A_RUN.items() if each not in taken}
     for each, its in wanted.items():
-        named_hosts = _hosts(hosts) if its == ROUTER else tuple(hosts)
+        named_hosts = _hosts(hosts) if its == ROUTER else _checked(hosts)
         made = authority.issue(its, each, validity=timedelta(days=days), hosts=named_hosts)
         print(f"{made}: credentials of {each}, a {its}; copy the folder to its host")
 
@@ -89,7 +113,7 @@ def request_command(folder: Path, role: str) -> None:
 def sign_command(folder: Path, request: Path, *, hosts: Sequence[str], days: float) -> None:
     """Issue the certificate of a request."""
     made = Authority.open(folder).certify(
-        request.read_bytes(), validity=timedelta(days=days), hosts=tuple(hosts)
+        request.read_bytes(), validity=timedelta(days=days), hosts=_checked(hosts)
     )
     print(f"{made}: certificate; copy the folder back, and 'rpod pki accept' it there")
 
@@ -127,8 +151,10 @@ def rules_command(folder: Path, members: Path | None, *, out: Path | None, route
     if members:
         rights, place = load(RightsConfig, members), members
     else:
-        roles = {name: MemberConfig(role=role) for name, role in OF_A_RUN.items()}
-        rights, place = RightsConfig(members=roles), Path("rpod run")
+        members_of_a_run = {
+            name: MemberConfig(role=role, sensors=_PUBLISH.get(name, ())) for name, role in OF_A_RUN.items()
+        }
+        rights, place = RightsConfig(members=members_of_a_run), Path("rpod run")
     rules = rules_of(rights, place.parent, source=str(place))
     identities = [entry.identity for entry in authority.valid]
     names = named(rules, identities)

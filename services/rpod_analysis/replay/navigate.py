@@ -193,7 +193,7 @@ def _copied(log: Log, prefix: str) -> set[str]:
 def _span_ns(log: Log, *, start_s: float, end_s: float | None) -> tuple[int | None, int | None]:
     """Return the times of arrival between which a log is replayed; None for its beginning or end."""
     timeline = Timeline(log)
-    start_ns = timeline.arrival_of(timeline.at(start_s)) if start_s else None
+    start_ns = timeline.arrival_of(timeline.begin(start_s)) if start_s else None
     return start_ns, None if end_s is None else timeline.arrival_of(timeline.at(end_s))
 
 

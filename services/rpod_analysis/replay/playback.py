@@ -99,7 +99,7 @@ class _Player:
         self._clock_ns = 0
 
     def play(self) -> Played:
-        begin_ns = self._timeline.at(self._playback.start_s)
+        begin_ns = self._timeline.begin(self._playback.start_s)
         self._stop.wait(_SETTLE_S)
         self._announce(begin_ns)
         started_s, shift_ns = time.monotonic(), 0

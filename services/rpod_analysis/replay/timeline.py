@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 
+from rpod_analysis.errors import BeyondEndError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.stamp_check import StampCheck
 from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
@@ -22,6 +23,26 @@ class Timeline:
     def at(self, time_s: float) -> int:
         """Return the time, ns, at a number of seconds from the beginning."""
         return self.start_ns + round(time_s * NANOSECONDS)
+
+    def begin(self, start_s: float) -> int:
+        """Return the time, ns, from which a log is played. Raises ``BeyondEndError``: it ends before."""
+        time_ns = self.at(start_s)
+        end_ns = self._last_ns() if self.recorded else self._log.end_ns
+        if time_ns > end_ns:
+            length_s = (end_ns - self.start_ns) / NANOSECONDS
+            raise BeyondEndError(self._log.paths[0], start_s, length_s)
+        return time_ns
+
+    def _last_ns(self) -> int:
+        """Return the last time on ``clock``."""
+        step_ns, since_ns = NANOSECONDS, self._log.end_ns
+        while self._clock_from(since_ns) == _NEVER_NS and since_ns > self._log.start_ns:
+            since_ns, step_ns = since_ns - step_ns, 2 * step_ns
+        last_ns = self.start_ns
+        for logged in self._log.messages(CLOCK, start_ns=since_ns):
+            with self._log.unreadable.left_out(logged):
+                last_ns = max(self._told(logged), last_ns)
+        return last_ns
 
     def advance(self, logged: Logged) -> int:
         """Return the time after a message has arrived."""

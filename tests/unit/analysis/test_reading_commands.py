@@ -49,7 +49,19 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path, verb, content):
 )
 def test_a_bad_option_is_refused_with_field_and_reason(tmp_path, options, field):
     log = SyntheticRun(duration_s=0.1).write(tmp_path / "run.mcap")
-    assert f"{field}: " in the_line(rpod("replay", log, *options), 2)
+    line = the_line(rpod("replay", log, *options), 2)
+    assert f"{field}: " in line
+    assert line.count("rpod replay") == 1
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_a_beginning_after_the_end_of_the_log_is_told(tmp_path, clock):
+    log = SyntheticRun(duration_s=0.5, clock=clock).write(tmp_path / "run.mcap")
+    config = tmp_path / "estimator.json"
+    config.write_text('{"target": "mockup", "sensors": [{"kind": "pmd"}]}', "utf-8")
+    line = the_line(rpod("replay", log, "--config", config, "--from", "500"), 1)
+    assert "s, before --from 500; give an earlier time" in line
+    assert sorted(tmp_path.iterdir()) == [config, log]
 
 
 def test_a_configuration_that_is_not_whole_is_refused(tmp_path):

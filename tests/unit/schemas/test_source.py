@@ -35,6 +35,14 @@ def test_the_field_of_a_preset_that_cannot_be_read_is_named(source):
     assert "\n" not in text
 
 
+@pytest.mark.parametrize("field", ["T_chaser_sensor", "calibration"])
+def test_the_field_of_a_file_that_cannot_be_read_is_named(field):
+    sensor = {"kind": "pmd", field: "lost.yaml"}
+    with pytest.raises(ConfigurationError) as error:
+        check(EstimatorConfig, {"target": "mockup", "sensors": [sensor]}, source="lab.yaml")
+    assert str(error.value).startswith(f"lab.yaml: sensors.0.{field}: lost.yaml: cannot be read")
+
+
 @pytest.mark.parametrize(("topics", "changed"), [("[depth]", GIVEN), ("{depth: d}", ["depth"])])
 def test_topics_that_are_no_mapping_are_told_beside_those_of_a_preset(tmp_path, topics, changed):
     file = tmp_path / "camera.yaml"

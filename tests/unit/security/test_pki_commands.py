@@ -45,7 +45,10 @@ def test_all_credentials_of_a_run_are_issued_by_one_command(folder: Path):
         (["revoke", "nobody"], "was never issued"),
         (["rules", "none.yaml"], "cannot be read"),
         (["show", "--pki", "elsewhere"], "rpod pki init"),
-        (["audit", "none.jsonl"], "No such file"),
+        (["audit", "none.jsonl"], "rpod pki: none.jsonl: No such file"),
+        (["sign", "none"], "rpod pki: none: No such file"),
+        (["init", "--pki", "new", "--host", "lab router"], "--host: is 'lab router'; needs the name"),
+        (["init", "--pki", "new", "--host", "10.0.0.1:7447"], "without a port"),
     ],
 )
 def test_an_error_is_one_line_with_the_remedy(folder: Path, arguments: list[str], text: str):
@@ -54,6 +57,18 @@ def test_an_error_is_one_line_with_the_remedy(folder: Path, arguments: list[str]
     assert done.exit_code in (1, 2)
     assert text in done.stderr
     assert len(done.stderr.splitlines()) == 1
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_rules_without_a_file_are_those_of_a_run():
+    assert pki("issue", "all").exit_code == 0
+    done = pki("rules")
+    assert done.exit_code == 0, done.output
+    assert {"emulator.1", "estimator.1"} <= {
+        name for subject in json.loads(done.stdout)["subjects"] for name in subject["cert_common_names"]
+    }
+    assert "pmd/depth/image_raw" in done.stdout
 
 
 def test_a_name_goes_from_issue_over_rules_to_its_revocation(folder: Path):

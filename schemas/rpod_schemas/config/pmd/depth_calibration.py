@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy import constants
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.base import Config, NonNegative, Positive, load, write
+from rpod_schemas.config.base import Config, NonNegative, Positive, in_place, load, write
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 _STEEPEST = 0.5
@@ -112,7 +112,7 @@ class DepthCalibration(Config):
 
 
 def _read(value: Any) -> Any:
-    return load(DepthCalibration, Path(value)) if isinstance(value, str | Path) else value
+    return in_place(value, lambda path: load(DepthCalibration, path))
 
 
 CalibrationSource = Annotated[DepthCalibration, BeforeValidator(_read)]

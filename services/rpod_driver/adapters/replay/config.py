@@ -5,14 +5,14 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from rpod_schemas.config.base import Config, Positive, read_document
+from rpod_schemas.config.base import Config, Positive, in_place, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.types import Camera
 
 
 def _read(value: Any) -> Any:
-    return read_document(Path(value)) if isinstance(value, str | Path) else value
+    return in_place(value, read_document)
 
 
 class Images(Config):
