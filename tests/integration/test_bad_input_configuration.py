@@ -53,7 +53,7 @@ def written(directory: Path, document: object) -> Path:
     [
         ("router", {"listen": "7447"}, "listen", "endpoint of Zenoh, such as tcp/127.0.0.1:7447"),
         ("motion", {"rate_hz": 0}, "rate_hz", "greater than 0"),
-        ("motion", {"bus": 5}, "bus", "valid dictionary"),
+        ("motion", {"bus": 5}, "bus", "is 5; it must be a mapping"),
         ("emulator", {"sensors": [{"kind": "radar"}]}, "sensors.0.kind", "known are lidar, pmd"),
         (
             "emulator",

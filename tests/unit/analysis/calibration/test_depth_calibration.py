@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 from synthetic_log import SyntheticRun
 
@@ -19,7 +20,6 @@ from rpod_schemas.config.base import load
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
-from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera
 from rpod_sim_sensor.pmd import PmdEmulator
@@ -237,9 +237,9 @@ def test_the_estimator_takes_the_file_or_its_content(tmp_path, calibration, name
 def test_a_wrong_file_is_named_with_its_field(tmp_path):
     path = tmp_path / "wrong.yaml"
     path.write_text("modulation_frequency_hz: [20.013e+6]\noffset: 1\n")
-    with pytest.raises(ConfigurationError, match=r"wrong\.yaml: offset"):
+    with pytest.raises(ValidationError, match=r"calibration\n.*wrong\.yaml: offset"):
         PmdInput(calibration=path)
-    with pytest.raises(ConfigurationError, match="cannot be read"):
+    with pytest.raises(ValidationError, match=r"calibration\n.*cannot be read"):
         PmdInput(calibration=tmp_path / "none.yaml")
 
 
