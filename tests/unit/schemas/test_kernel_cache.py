@@ -146,7 +146,7 @@ def outcome(line):
 
 
 def change(package, module, old, new):
-    """Change a module at another second: bytecode of the same second and size counts as that of the source."""
+    """Change a module at another second: bytecode of the same second and size would be taken for it."""
     file = package / f"{module}.py"
     text, later_s = file.read_text(), file.stat().st_mtime + 2.0
     assert old in text
