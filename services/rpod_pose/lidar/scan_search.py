@@ -195,12 +195,25 @@ class ScanSearch:
         return self._outlined(finished) if len(self._likely(finished)) > 1 else finished
 
     def closed(self, ranked: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, weighed by samples, with all turns of the best one.
+        """Return the poses, likeliest first, and all turns of the best one, weighed by samples.
 
         This is for few returns, and for an alignment that was not settled.
         """
         self.few = True
-        return self._closed(self._outlined(ranked)) if ranked else ranked
+        if not ranked:
+            return []
+        first, *others = self._outlined(ranked)
+        best = self._polished(first)
+        gain = max(best.fit.log_likelihood - first.fit.log_likelihood, 0.0)
+        every = [best, *others]
+        for _ in range(self._tuning.few_closures):
+            every = self._distinct([*every, *self._turned(best, self._tuning.few_turns)])
+            likely = self._likely(every, gain)
+            every = self._distinct([*map(self._polished, likely), *every[len(likely) :]])
+            if every[0] is best:
+                break
+            best = every[0]
+        return every
 
     def _outlined(self, ranked: list[Pose]) -> list[Pose]:
         """Return the poses, likeliest first, of which those about as likely as the first have the outline."""
@@ -218,20 +231,6 @@ class ScanSearch:
         turn = np.kron(np.eye(2), pose.R.T)
         spread = turn @ registration.covariance @ turn.T
         return len(self._likely(poses)) == 1 and self._scanner.statistics.is_settled(self.seen, pose, spread)
-
-    def _closed(self, ranked: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, and all turns of the best one, refined as far as it is."""
-        best = self._polished(ranked[0])
-        gain = max(best.fit.log_likelihood - ranked[0].fit.log_likelihood, 0.0)
-        every = [best, *ranked[1:]]
-        for _ in range(self._tuning.few_closures):
-            every = self._distinct([*every, *self._turned(best, self._tuning.few_turns)])
-            likely = self._likely(every, gain)
-            every = self._distinct([*map(self._polished, likely), *every[len(likely) :]])
-            if every[0] is best:
-                break
-            best = every[0]
-        return every
 
     def ranked(self, poses: Sequence[Pose]) -> list[Pose]:
         """Return poses by their share of the posterior, without those in the posterior near the best one."""
