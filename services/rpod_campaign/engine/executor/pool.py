@@ -88,7 +88,8 @@ class ProcessPool:
             try:
                 while pending:
                     done, _ = wait(pending, return_when=FIRST_COMPLETED)
-                    for future in sorted(done, key=_broken):  # finished trials before failed ones
+                    # finished trials before failed ones, and of each the first trial first
+                    for future in sorted(done, key=lambda one: (_broken(one), pending[one])):
                         yield from _finished(work, future.result())
                         del pending[future]
                     for task in islice(remaining, len(done)):
