@@ -87,8 +87,8 @@ class ScanFrames:
 
     def image(self, frame: LidarScan, *, fine: bool) -> RangeImage:  # noqa: ARG002 - rays are few
         """Return the range of each ray of the pattern."""
-        range_m = self._view.seen(frame).range_m.clip(0.0).astype(np.float32)
-        return RangeImage(self._view.grid, range_m, frame.hidden)
+        seen = self._view.seen(frame)
+        return RangeImage(seen.grid, seen.range_m.clip(0.0).astype(np.float32), frame.hidden)
 
     def separated(
         self,

@@ -230,7 +230,7 @@ class ProjectiveIcp:
         return FaceProblem(
             seen.points_m,
             seen.rays,
-            self.view.grid.arrays,
+            seen.grid.arrays,
             self.surface.faces,
             self.surface.coarse_field,
             self._errors,

@@ -123,7 +123,7 @@ class ScanModel:
         self._view, self._acceptance = view, acceptance
         self.sigma_range_m = config.sigma_range_m or sigma_range_m or UNKNOWN_SIGMA_M
         self._uneven_m = hypot(_UNEVEN * self.sigma_range_m, tolerance_m)
-        self._rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
+        self._faces = surface.faces
         self._shares = expected_shares(config.surest_detection)
         self._radius_m = float(np.linalg.norm(surface.faces.triangles_m, axis=2).max())
         self.assumed = _assumptions(config, self.sigma_range_m, self._radius_m)
@@ -135,10 +135,15 @@ class ScanModel:
         ratio = 2.0 * self._radius_m / self.sigma_range_m
         return seen.returns * min(max(log(ratio / ENTROPY) / log(LARGE / ENTROPY), 0.0), 1.0)
 
+    def _rays(self, seen: SeenScan) -> Rays:
+        """Return the rays of a scan with the pattern's buffers."""
+        hits = self._view.hits
+        return Rays(seen.grid.arrays, self._faces, hits.range_m, hits.triangle)
+
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
         step()
-        return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self.assumed))
+        return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays(seen), self.assumed))
 
     @property
     def expected_shares(self) -> tuple[float, FloatArray]:
@@ -151,7 +156,7 @@ class ScanModel:
         evidence = self._evidence(fit, seen.returns)
         if self._explains(evidence):
             return Belief(evidence=evidence)
-        less = ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays, self._pessimistic))
+        less = ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays(seen), self._pessimistic))
         pessimistic = self._evidence(less, seen.returns)
         if self._explains(pessimistic):
             return Belief(evidence=pessimistic)
@@ -167,12 +172,13 @@ class ScanModel:
         These are the returns that clutter explains better than the target does and, if more returns are
         missing than the echoes explain, the rays that meet the target and gave none.
         """
-        met, measured = self._rays.face >= 0, seen.range_m > 0.0
-        normals = self._rays.faces.normals[self._rays.face] @ R.T
-        cosine = -(normals * self._view.grid.directions).sum(axis=-1)
+        hits = self._view.hits
+        met, measured = hits.triangle >= 0, seen.range_m > 0.0
+        normals = self._faces.normals[hits.triangle] @ R.T
+        cosine = -(normals * seen.grid.directions).sum(axis=-1)
         slack_m = self.assumed.slack_m / np.maximum(cosine, STEEPEST)
         variance = self.assumed.sigma_m**2 + slack_m**2
-        tail = 1.0 + 0.25 * (seen.range_m - np.where(met, self._rays.range_m, 0.0)) ** 2 / variance
+        tail = 1.0 + 0.25 * (seen.range_m - np.where(met, hits.range_m, 0.0)) ** 2 / variance
         agrees = PEAK / (np.sqrt(variance * tail) * tail * tail) > self.assumed.clutter_density
         marked = measured & ~(met & agrees)
         if missing:
@@ -196,7 +202,7 @@ class ScanModel:
         their share gives by chance are taken off.
         """
         hits = self._view.hits
-        cast_faces(self._view.grid.arrays, self._rays.faces, R, t, hits.arrays)
+        cast_faces(seen.grid.arrays, self._faces, R, t, hits.arrays)
         met, limit_m = hits.triangle >= 0, _LIMIT * self.sigma_range_m
         beside = ~binary_dilation(met, np.ones((3, 3), np.bool_))
         off_m = np.where(met, seen.range_m - hits.range_m, limit_m).clip(-limit_m, limit_m)
@@ -268,11 +274,11 @@ class ScanModel:
     def _cropped(self, seen: SeenScan, pose: PoseArrays) -> tuple[FloatArray, Rays]:
         """Return the measured ranges and the rays near the returns and the target at a pose."""
         hits = self._view.hits
-        cast_faces(self._view.grid.arrays, self._rays.faces, pose.R, pose.t, hits.arrays)
+        cast_faces(seen.grid.arrays, self._faces, pose.R, pose.t, hits.arrays)
         rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         buffers = np.empty(measured.shape, np.float32), np.empty(measured.shape, np.int32)
-        return measured, Rays(self._view.grid.block(rows, columns), self._rays.faces, *buffers)
+        return measured, Rays(seen.grid.block(rows, columns), self._faces, *buffers)
 
     def mean(
         self, seen: SeenScan, pose: PoseArrays, posterior: SampledPosterior
@@ -295,7 +301,7 @@ class ScanModel:
         return likeliest, best, posterior.covariance + np.outer(off, off)
 
     def _statistics(self, seen: SeenScan, pose: PoseArrays) -> ScanStatistics:
-        found: ScanStatistics = scan_statistics(seen.range_m, pose.R, pose.t, self._rays, self.assumed)
+        found: ScanStatistics = scan_statistics(seen.range_m, pose.R, pose.t, self._rays(seen), self.assumed)
         return found
 
 

@@ -293,7 +293,7 @@ class ScanSearch:
         return FaceProblem(
             self.seen.points_m,
             self.seen.rays,
-            view.grid.arrays,
+            self.seen.grid.arrays,
             self._model.surface.faces,
             self._model.surface.coarse_field,
             ScanErrors(statistics.sigma_range_m, statistics.assumed.slack_m, 0.0, 0.0),

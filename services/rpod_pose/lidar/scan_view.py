@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, Hits, RayGrid
@@ -14,6 +15,11 @@ from rpod_schemas.types import Float32Array, LidarScan
 FARTHEST_M = 1e5
 """Greatest valid range; no LIDAR measures 100 km. Physics: the least one is ``NEAREST_M``, because many
 sensors send a point in their origin for a ray without a return."""
+
+BESIDE, MOST = 0.1, 0.9
+"""Distance of returns from their rays, in steps, up to which the rays are the pattern's, and the share of the
+returns that are so near. Numerics: on a face at 45 deg a range then differs by a tenth of a cell; of returns
+at random 4 % are so near."""
 
 HIDDEN_M = np.inf
 """Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""
@@ -28,8 +34,10 @@ class SeenScan:
     rays: NDArray[np.int64]
     """Row-major index of each point's ray, shape (N,); -1 for a point outside the pattern."""
     range_m: FloatArray
-    """Measured range of each ray, shape (rows, columns), 0 without a return, negative if something hides
-    the target."""
+    """Measured range of each ray, shape (rows, columns), 0 without a return, negative if it is not known
+    whether there was one, as where something hides the target."""
+    grid: RayGrid
+    """The rays: those of the pattern, or through the returns if these lie beside them."""
 
     @property
     def returns(self) -> int:
@@ -53,7 +61,7 @@ class SeenScan:
             return self
         image = self.range_m.copy()
         image.flat[self.rays[~near & (self.rays >= 0)]] = 0.0
-        return SeenScan(self.points_m[near], self.rays[near], image)
+        return SeenScan(self.points_m[near], self.rays[near], image, self.grid)
 
     def every(self, stride: int) -> "SeenScan":
         """Return the returns in every ``stride``-th row and column of the pattern."""
@@ -61,7 +69,8 @@ class SeenScan:
         kept = (self.rays >= 0) & (row % stride == 0) & (column % stride == 0)
         image = np.ascontiguousarray(self.range_m[::stride, ::stride])
         rays = row[kept] // stride * image.shape[1] + column[kept] // stride
-        return SeenScan(self.points_m[kept], rays, image)
+        grid = RayGrid(np.ascontiguousarray(self.grid.components[:, ::stride, ::stride]))
+        return SeenScan(self.points_m[kept], rays, image, grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,24 +103,45 @@ class ScanView:
         return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy(), aside_rad)
 
     def seen(self, scan: LidarScan) -> SeenScan:
-        """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays."""
+        """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays.
+
+        Where these returns lie beside the rays of the pattern, as those of a scan that never repeats, their
+        own directions are the rays. Whether the sensor looked beside a return is then not known.
+        """
         points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
-        rays = places if organised else self._nearest_rays(points_m, range_m)
+        rays, exact = (places, True) if organised else self._nearest_rays(points_m, range_m)
+        if not exact:
+            rays = spread(rays, *self.shape)
         image = range_image(rays, range_m, *self.shape)
         if organised:
             image[np.isinf(scan.points_m[..., 0])] = -1.0
         if scan.hidden is not None and scan.hidden.shape == self.shape:
             image[scan.hidden & (image == 0.0)] = -1.0
-        return SeenScan(points_m, rays, image)
+        if exact:
+            return SeenScan(points_m, rays, image, self.grid)
+        beside = binary_dilation(image > 0.0, np.ones((3, 3), np.bool_))
+        image[beside & (image == 0.0)] = -1.0
+        return SeenScan(points_m, rays, image, self._through(points_m, rays))
 
-    def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
+    def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> tuple[NDArray[np.int64], bool]:
+        """Return the rays of returns, -1 outside the pattern, and whether the returns lie on the rays."""
         row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / np.maximum(range_m, 1e-9)))
         azimuth_rad = np.arctan2(points_m[:, 0], points_m[:, 2])
         if self.row_azimuth_rad is not None:
             azimuth_rad -= self.row_azimuth_rad[row]
         column, beside = _nearest(self.azimuth_rad, azimuth_rad)
-        return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
+        off = np.maximum(np.abs(above), np.abs(beside))
+        inside = off <= 1.0
+        exact = not inside.any() or float(np.quantile(off[inside], MOST)) <= BESIDE
+        return np.where(inside, row * self.azimuth_rad.size + column, -1), exact
+
+    def _through(self, points_m: FloatArray, rays: NDArray[np.int64]) -> RayGrid:
+        """Return the grid with the rays of returns through them."""
+        components, known = self.grid.components.copy(), rays >= 0
+        directions = points_m[known] / np.linalg.norm(points_m[known], axis=1, keepdims=True)
+        components.reshape(3, -1)[:, rays[known]] = directions.T
+        return RayGrid(components)
 
 
 @kernel
@@ -149,6 +179,33 @@ def range_image(rays: NDArray[np.int64], range_m: FloatArray, rows: int, columns
     return image.reshape(rows, columns)
 
 
+@kernel
+def spread(rays: NDArray[np.int64], rows: int, columns: int) -> NDArray[np.int64]:
+    """Return rays of which as many as possible differ: a return whose ray is taken gets a free one beside it.
+
+    Args:
+        rays: ray of each return, counted row by row, -1 for none, shape (N,).
+        rows: rows of the pattern.
+        columns: columns of the pattern.
+    """
+    found, taken = rays.copy(), np.zeros((rows, columns), np.bool_)
+    later = np.zeros(rays.size, np.bool_)
+    for n in range(rays.size):
+        if rays[n] >= 0:
+            row, column = divmod(rays[n], columns)
+            later[n] = taken[row, column]
+            taken[row, column] = True
+    for n in range(rays.size):
+        if not later[n]:
+            continue
+        row, column = divmod(rays[n], columns)
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(column - 1, 0), min(column + 2, columns)):
+                if later[n] and not taken[i, j]:
+                    found[n], taken[i, j], later[n] = i * columns + j, True, False
+    return found
+
+
 def spacing_rad(angles_rad: FloatArray) -> float:
     """Return the median step between a pattern's columns or rows, rad; 1 degree for a single one."""
     return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
@@ -162,9 +219,9 @@ def _ends_return(image: FloatArray) -> bool:
     return bool(image[rows, first[rows]].any() or image[rows, last[rows]].any())
 
 
-def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the index of the pattern's nearest angle, and whether it is farther away than one step."""
+def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the index of the pattern's nearest angle, and how far it is away, in steps."""
     order = np.argsort(angles_rad)
     middle = (angles_rad[order][1:] + angles_rad[order][:-1]) / 2.0
     index = order[np.searchsorted(middle, wanted_rad)]
-    return index, np.abs(angles_rad[index] - wanted_rad) > spacing_rad(angles_rad)
+    return index, (wanted_rad - angles_rad[index]) / spacing_rad(angles_rad)

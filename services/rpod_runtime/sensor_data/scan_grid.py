@@ -3,8 +3,9 @@
 A method needs the rays without a return as well as the returns. The points of an organised scan tell the
 azimuth or elevation of each row and column that has returns; the other lines follow from these, since
 scanners have nearly even steps. An unorganised scan has only returns. Where their azimuths or elevations
-gather in lines, the lines are the pattern's; otherwise, as in a scan that never repeats, even lines as far
-apart as the points stand for it, with as many lines on both sides again.
+gather in lines, the lines are the pattern's, and where only one of them does, the points of a line tell the
+other one's step. Otherwise, as in a scan that never repeats, the pattern has even lines, as far apart as the
+empty circles between the points are wide. Each pattern has as many lines on both sides again.
 """
 
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from scipy.spatial import KDTree
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from rpod_runtime.sensor_data.staggered_rows import StaggeredRows
 from rpod_schemas.types import Float32Array, LidarInfo
@@ -33,6 +34,9 @@ _CHANGED = 0.2
 """Change of a line, over a step, from which on an inferred pattern is replaced."""
 _GATHERED = 4.0
 """Least ratio of the steps between lines to those within a line."""
+_NARROW = 0.06
+"""Greatest RMS width of lines, over the step between them. Numerics: in 300 drawings each, the lines that
+points at random seem to form are narrower in none of 20 points and more, and in at most two of 12."""
 _STRAY = 0.25
 """Least number of points of a line over the usual one; fewer are strays between lines."""
 _MARGIN = 8
@@ -41,10 +45,10 @@ _MOST_LINES, _MOST_RAYS = 1024, 2**18
 """Greatest number of lines that points tell, and of rays of the whole pattern."""
 _OUTSIDE = 0.05
 """Share of an unorganised scan's points outside its pattern from which on it is inferred anew."""
+_MIDDLE = 5_000
+"""Number of points, around the middle of a scan, that tell how wide the empty circles are."""
 _NEIGHBOURS = 400
 """Number of points whose distance to their neighbour is taken."""
-_SPARSE = 1.2
-"""Distance of the lines over that of the points, where the points form no lines."""
 
 
 def angles_of(points_m: Float32Array) -> tuple[Angles, Angles, NDArray[np.bool_]]:
@@ -164,8 +168,7 @@ class GridInference:
             azimuth, elevation = azimuth[seen], elevation[seen]
             if self.pattern is not None and _covers(self.pattern, azimuth, elevation):
                 return
-            apart_rad = _apart_rad(azimuth, elevation)
-            columns, rows = _widened(_gathered(azimuth, apart_rad), _gathered(elevation, apart_rad))
+            columns, rows = _widened(*_unorganised(azimuth, elevation))
         if columns is None or rows is None:
             return
         try:
@@ -251,11 +254,14 @@ def _all_lines(known: NDArray[np.intp], angles: Angles, count: int) -> Angles | 
     return centred
 
 
+def _places(azimuth: Angles, elevation: Angles) -> Angles:
+    """Return the distinct places of points, shape (N, 2), rad."""
+    return np.unique(np.stack((azimuth * np.cos(elevation), elevation), axis=1).round(6), axis=0)
+
+
 def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
     """Return the median angle from a point to its nearest neighbour; 0 of fewer than two places."""
-    if azimuth.size < 2:
-        return 0.0
-    places = np.unique(np.stack((azimuth * np.cos(elevation), elevation), axis=1).round(6), axis=0)
+    places = _places(azimuth, elevation)
     if len(places) < 2:
         return 0.0
     few = places[:: len(places) // _NEIGHBOURS + 1]
@@ -263,28 +269,81 @@ def _apart_rad(azimuth: Angles, elevation: Angles) -> float:
     return float(np.median(np.asarray(apart)[:, 1]))
 
 
+def _unorganised(azimuth: Angles, elevation: Angles) -> tuple[Angles | None, Angles | None]:
+    """Return the columns and rows of an unorganised scan; None if its points, shape (N,), tell none."""
+    apart_rad = _apart_rad(azimuth, elevation)
+    if azimuth.size < _LEAST_LINES or not apart_rad:
+        return None, None
+    if max(np.ptp(azimuth), np.ptp(elevation)) > _MOST_LINES * apart_rad:
+        return None, None
+    columns, rows = _gathered(azimuth, apart_rad), _gathered(elevation, apart_rad)
+    if columns is None and rows is None:
+        step_rad = _empty_rad(azimuth, elevation)
+        return _even(azimuth, step_rad), _even(elevation, step_rad)
+    if columns is None:
+        columns = _even(azimuth, _within_rad(azimuth, elevation, rows))
+    if rows is None:
+        rows = _even(elevation, _within_rad(elevation, azimuth, columns))
+    return columns, rows
+
+
 def _gathered(angles: Angles, apart_rad: float) -> Angles | None:
-    """Return the lines in which angles gather, else even ones; None if they are too few or too many."""
-    if angles.size < _LEAST_LINES or not apart_rad:
-        return None
+    """Return the lines in which angles gather; None if they do not."""
     ordered = np.sort(angles)
-    if ordered[-1] - ordered[0] > _MOST_LINES * apart_rad:
-        return None
     steps = np.diff(ordered)
     between = steps > apart_rad / _GATHERED
     groups = np.split(ordered, np.flatnonzero(between) + 1)
     usual = float(np.median([group.size for group in groups]))
     groups = [group for group in groups if group.size >= _STRAY * usual]
-    within = float(np.median([np.ptp(group) for group in groups]))
     means = np.array([group.mean() for group in groups])
-    if len(groups) >= _LEAST_LINES and 2 * len(groups) < angles.size and within < apart_rad / 2.0:
-        index = np.round((means - means[0]) / np.median(np.diff(means))).astype(np.intp)
-        index, first = np.unique(index, return_index=True)
-        lines = _all_lines(index, means[first], int(index[-1]) + 1)
-    else:
-        step = _SPARSE * apart_rad
-        lines = np.arange(ordered[0], ordered[-1] + step, step)
+    if len(groups) < _LEAST_LINES or 2 * len(groups) >= angles.size:
+        return None
+    within = np.concatenate(groups) - np.repeat(means, [group.size for group in groups])
+    if np.sqrt(np.mean(within**2)) > _NARROW * np.median(np.diff(means)):
+        return None
+    index = np.round((means - means[0]) / np.median(np.diff(means))).astype(np.intp)
+    index, first = np.unique(index, return_index=True)
+    lines = _all_lines(index, means[first], int(index[-1]) + 1)
     return None if lines is None or not 2 <= lines.size <= _MOST_LINES else lines
+
+
+def _within_rad(angles: Angles, others: Angles, lines: Angles | None) -> float:
+    """Return the median step between neighbours in one line, rad; ``others`` are the angles of the lines."""
+    assert lines is not None  # noqa: S101 - of two axes one has lines
+    line = np.abs(others[:, None] - lines).argmin(axis=1)
+    order = np.lexsort((angles, line))
+    steps = np.diff(angles[order])[np.diff(line[order]) == 0]
+    steps = steps[steps > 0.0]
+    return float(np.median(steps)) if steps.size else 0.0
+
+
+def _empty_rad(azimuth: Angles, elevation: Angles) -> float:
+    """Return the usual radius of the empty circles between points, rad; 0 of points on a line.
+
+    These are the circles around the triangles of Delaunay's triangulation. Half of the area has greater ones.
+    """
+    places = _places(azimuth, elevation)
+    middle = np.median(places, axis=0)
+    places = places[np.argsort(((places - middle) ** 2).sum(axis=1))[:_MIDDLE]]
+    try:
+        corners = places[Delaunay(places - middle).simplices]
+    except (QhullError, ValueError):
+        return 0.0
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1).swapaxes(0, 1)
+    area = 0.5 * np.abs(ax * by - ay * bx)
+    radius = sides.prod(axis=1) / np.maximum(4.0 * area, 1e-30)
+    order = np.argsort(radius)
+    share = np.cumsum(area[order])
+    return float(radius[order][np.searchsorted(share, share[-1] / 2.0)])
+
+
+def _even(angles: Angles, step_rad: float) -> Angles | None:
+    """Return even lines over angles; None if they are too few or too many."""
+    if not step_rad or np.ptp(angles) > _MOST_LINES * step_rad:
+        return None
+    lines = np.arange(angles.min(), angles.max() + step_rad, step_rad)
+    return lines if 2 <= lines.size <= _MOST_LINES else None
 
 
 def _widened(columns: Angles | None, rows: Angles | None) -> tuple[Angles | None, Angles | None]:

@@ -96,15 +96,39 @@ def test_a_head_that_turns_all_around_in_a_room_shows_its_lines_without_order(co
     assert pattern.azimuth_rad.size * pattern.elevation_rad.size <= 2**18
 
 
-def test_a_scan_that_never_repeats_gets_lines_as_far_apart_as_its_points():
-    rng = np.random.default_rng(4)
-    x, y = rng.uniform(-1.0, 1.0, (2, 2_000))
-    points = np.stack((x, y, np.full_like(x, 5.0)), axis=-1).astype(np.float32)
-    pattern = inferred(points)
-    apart = np.sqrt(0.16 / 2_000)  # rad: an area of 0.4 x 0.4 rad
+def on_a_plate(azimuth, elevation):
+    """Return the points of a plate 5 m ahead, shape (N, 3)."""
+    points = np.stack((np.tan(azimuth), np.tan(elevation) / np.cos(azimuth), np.ones_like(azimuth)), axis=-1)
+    return (5.0 * points).astype(np.float32)
+
+
+@pytest.mark.parametrize("count", [30, 300, 3_000])
+@pytest.mark.parametrize("seed", range(3))
+def test_points_at_random_get_as_many_cells_as_they_are(count, seed):
+    """Lines that 300 points seem to form would be nine times too dense."""
+    azimuth, elevation = np.random.default_rng(seed).uniform(-0.2, 0.2, (2, count))
+    pattern = inferred(on_a_plate(azimuth, elevation))
+    apart = 0.4 / np.sqrt(count)
     for lines in (pattern.azimuth_rad, pattern.elevation_rad):
-        assert 0.3 * apart < np.median(np.diff(lines)) < 1.5 * apart
-    assert inferred(points[:2]) is None
+        assert 0.7 * apart < np.median(np.diff(lines)) < 1.3 * apart
+    assert inferred(on_a_plate(azimuth, elevation)[:2]) is None
+
+
+def test_a_rosette_gets_cells_as_wide_as_the_gaps_between_its_loops():
+    angle = np.linspace(0.0, 12.0 * np.pi, 12_000)
+    radius = 0.2 * np.cos(2.618 * angle)
+    pattern = inferred(on_a_plate(radius * np.cos(angle), radius * np.sin(angle)))
+    along = np.median(np.hypot(*np.diff((radius * np.cos(angle), radius * np.sin(angle)))))
+    assert np.median(np.diff(pattern.azimuth_rad)) > 3.0 * along
+
+
+def test_rings_whose_azimuths_differ_get_the_step_within_a_ring():
+    step, rng = np.radians(0.4), np.random.default_rng(6)
+    elevation = np.radians(np.linspace(-8.0, 8.0, 9))
+    azimuth = np.arange(-0.2, 0.2, step) + rng.uniform(0.0, step, (9, 1))
+    pattern = inferred(on_a_plate(azimuth.ravel(), np.repeat(elevation, azimuth.shape[1])))
+    assert np.median(np.diff(pattern.azimuth_rad)) == pytest.approx(step, rel=0.01)
+    assert np.abs(pattern.elevation_rad[:, None] - elevation).min(axis=0).max() < 1e-4
 
 
 def test_points_that_no_scanner_sends_are_no_end():

@@ -1,5 +1,7 @@
 """The likelihood of a scan: its statistics at the truth, and what it says of other poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lidar_scans import LIDAR, load, off, random_pose, scan_at, scan_of, tracker
@@ -51,7 +53,7 @@ def drawn(T, *, half, target, view, generator):
     range_m = np.where(returned, hits.range_m + scale_m * generator.standard_t(4, met.shape), 0.0)
     rays = np.flatnonzero(returned)
     points_m = (view.grid.directions * range_m[..., None]).reshape(-1, 3)[rays]
-    return SeenScan(points_m, rays, range_m)
+    return SeenScan(points_m, rays, range_m, view.grid)
 
 
 def test_a_brighter_echo_is_detected_rather_than_a_dimmer_one_by_every_sensor():
@@ -258,7 +260,7 @@ def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():
 
 def test_an_attitude_of_which_a_scan_tells_nothing_is_counted_once():
     seen = tracker().view.seen(scan_at(random_pose(0, 20.0), frame=0))
-    hidden = SeenScan(seen.points_m, seen.rays, np.full_like(seen.range_m, -1.0))
+    hidden = replace(seen, range_m=np.full_like(seen.range_m, -1.0))
     rough = np.diag([0.01**2] * 3 + [1.0] * 3)
     found = tracker().model.posterior(hidden, PoseArrays.of(random_pose(0, 20.0)), rough)
     assert np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0) < np.pi
