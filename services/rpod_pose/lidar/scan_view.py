@@ -1,11 +1,12 @@
 """A scan assigned to the rays of its pattern, as the kernels take it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, Hits, RayGrid
@@ -16,10 +17,14 @@ FARTHEST_M = 1e5
 """Greatest valid range; no LIDAR measures 100 km. Physics: the least one is ``NEAREST_M``, because many
 sensors send a point in their origin for a ray without a return."""
 
-BESIDE, MOST = 0.1, 0.9
-"""Distance of returns from their rays, in steps, up to which the rays are the pattern's, and the share of the
-returns that are so near. Numerics: on a face at 45 deg a range then differs by a tenth of a cell; of returns
-at random 4 % are so near."""
+MOST = 0.9
+"""Share of the returns that are as near to their rays as the next two values say. Numerics: a few strays."""
+ON = 0.005
+"""Distance of returns from their rays, in steps, up to which the rays are the pattern's. Numerics: on a face
+at 45 deg, 20 m away, a range then differs by 2 mm with steps of 1 deg."""
+BESIDE = 0.1
+"""Distance, in steps, from which on the rays of an unorganised scan are not the pattern's. Numerics: of
+returns at random 4 % are nearer."""
 
 HIDDEN_M = np.inf
 """Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""
@@ -105,42 +110,67 @@ class ScanView:
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays.
 
-        Where these returns lie beside the rays of the pattern, as those of a scan that never repeats, their
-        own directions are the rays. Whether the sensor looked beside a return is then not known.
+        Returns that lie beside the rays of the pattern are rays themselves: those of a scan that was
+        de-skewed, or that never repeats. Whether the sensor looked beside a return of the latter is not
+        known.
         """
         points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
         organised = scan.points_m.shape[:-1] == self.shape
-        rays, exact = (places, True) if organised else self._nearest_rays(points_m, range_m)
-        if not exact:
+        rays = places if organised else self._nearest_rays(points_m, range_m)
+        off = self._off(points_m / range_m[:, None], rays)
+        elsewhere = not organised and off > BESIDE
+        if elsewhere:
             rays = spread(rays, *self.shape)
         image = range_image(rays, range_m, *self.shape)
         if organised:
             image[np.isinf(scan.points_m[..., 0])] = -1.0
         if scan.hidden is not None and scan.hidden.shape == self.shape:
             image[scan.hidden & (image == 0.0)] = -1.0
-        if exact:
-            return SeenScan(points_m, rays, image, self.grid)
-        beside = binary_dilation(image > 0.0, np.ones((3, 3), np.bool_))
-        image[beside & (image == 0.0)] = -1.0
-        return SeenScan(points_m, rays, image, self._through(points_m, rays))
+        if elsewhere:
+            beside = binary_dilation(image > 0.0, np.ones((3, 3), np.bool_))
+            image[beside & (image == 0.0)] = -1.0
+        grid = self.grid if off <= ON else self._through(points_m, rays, moved=organised)
+        return SeenScan(points_m, rays, image, grid)
 
-    def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> tuple[NDArray[np.int64], bool]:
-        """Return the rays of returns, -1 outside the pattern, and whether the returns lie on the rays."""
-        row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / np.maximum(range_m, 1e-9)))
+    def _nearest_rays(self, points_m: FloatArray, range_m: FloatArray) -> NDArray[np.int64]:
+        """Return the rays of the returns of an unorganised scan, -1 outside the pattern."""
+        row, above = _nearest(self.elevation_rad, np.arcsin(points_m[:, 1] / range_m))
         azimuth_rad = np.arctan2(points_m[:, 0], points_m[:, 2])
         if self.row_azimuth_rad is not None:
             azimuth_rad -= self.row_azimuth_rad[row]
         column, beside = _nearest(self.azimuth_rad, azimuth_rad)
-        off = np.maximum(np.abs(above), np.abs(beside))
-        inside = off <= 1.0
-        exact = not inside.any() or float(np.quantile(off[inside], MOST)) <= BESIDE
-        return np.where(inside, row * self.azimuth_rad.size + column, -1), exact
+        return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
 
-    def _through(self, points_m: FloatArray, rays: NDArray[np.int64]) -> RayGrid:
-        """Return the grid with the rays of returns through them."""
+    def _off(self, directions: FloatArray, rays: NDArray[np.int64]) -> float:
+        """Return how far nearly all returns, as unit vectors, shape (N, 3), are from their rays, in steps."""
+        known = rays >= 0
+        last = int(MOST * np.count_nonzero(known)) - 1
+        if last < 0:
+            return 0.0
+        off = directions[known] - self.grid.directions.reshape(-1, 3)[rays[known]]
+        return float(np.sqrt(np.partition((off * off).sum(axis=1), last)[last])) / self._step_rad
+
+    @cached_property
+    def _step_rad(self) -> float:
+        return min(spacing_rad(self.azimuth_rad), spacing_rad(self.elevation_rad))
+
+    def _through(self, points_m: FloatArray, rays: NDArray[np.int64], *, moved: bool) -> RayGrid:
+        """Return the grid with the rays of returns through them.
+
+        Args:
+            points_m: returns, shape (N, 3), m.
+            rays: their rays, shape (N,), -1 for none.
+            moved: whether rays without a return are turned as those of the nearest returns.
+        """
         components, known = self.grid.components.copy(), rays >= 0
         directions = points_m[known] / np.linalg.norm(points_m[known], axis=1, keepdims=True)
         components.reshape(3, -1)[:, rays[known]] = directions.T
+        if moved:
+            missed = np.ones(self.shape, np.bool_)
+            missed.flat[rays[known]] = False
+            nearest = distance_transform_edt(missed, return_distances=False, return_indices=True)
+            components = self.grid.components + (components - self.grid.components)[:, *nearest]
+            components /= np.linalg.norm(components, axis=0)
         return RayGrid(components)
 
 
@@ -219,9 +249,9 @@ def _ends_return(image: FloatArray) -> bool:
     return bool(image[rows, first[rows]].any() or image[rows, last[rows]].any())
 
 
-def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the index of the pattern's nearest angle, and how far it is away, in steps."""
+def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the index of the pattern's nearest angle, and whether it is farther away than one step."""
     order = np.argsort(angles_rad)
     middle = (angles_rad[order][1:] + angles_rad[order][:-1]) / 2.0
     index = order[np.searchsorted(middle, wanted_rad)]
-    return index, (wanted_rad - angles_rad[index]) / spacing_rad(angles_rad)
+    return index, np.abs(angles_rad[index] - wanted_rad) > spacing_rad(angles_rad)
