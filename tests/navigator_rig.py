@@ -62,6 +62,7 @@ class View:
     tracked: Registration
     acquired: tuple[Registration, ...] = ()
     nearby: tuple[Registration, ...] = ()
+    lasting_s: float = 0.0
 
 
 @dataclass

@@ -70,6 +70,11 @@ class SensorFrame(Stamped):
     """One frame of a sensor of any kind; a kind adds its data, and their images and points for display."""
 
     @property
+    def lasting_s(self) -> float:
+        """RMS time of what was measured from the stamp, s; 0 for a frame that is measured at once."""
+        return 0.0
+
+    @property
     def lens(self) -> Camera | None:
         """Camera that made the frame; None if no camera did."""
         return None

@@ -44,6 +44,14 @@ class LidarScan(SensorFrame):
         return self
 
     @property
+    def lasting_s(self) -> float:
+        """RMS time of the returns from the stamp, s; 0 without times."""
+        if self.time_s is None or not self.time_s.any():
+            return 0.0
+        returned_s = self.time_s[np.isfinite(self.points_m).all(axis=-1)]
+        return float(np.sqrt(np.mean(returned_s**2))) if returned_s.size else 0.0
+
+    @property
     def organised(self) -> bool:
         """Whether rows and columns of the scan pattern are kept."""
         return self.points_m.ndim == 3

@@ -36,6 +36,7 @@ def as_measured(registration: Registration, event: Measurement) -> PoseMeasureme
         event.stamp_ns,
         *in_chaser(registration, event.T_chaser_sensor),
         Origin(event.sensor, event.T_chaser_sensor, registration.parts),
+        lasting_s=event.data.lasting_s,
     )
 
 

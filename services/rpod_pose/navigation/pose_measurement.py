@@ -21,6 +21,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter import (
     NOTHING,
+    TWIST,
     Block,
     FilterState,
     Innovation,
@@ -71,6 +72,9 @@ class PoseMeasurement:
     alone: bool = False
     """Whether its frame proves it without the prediction: where the gate refuses it, larger accelerations are
     tried (``dynamics/manoeuvre``)."""
+    lasting_s: float = 0.0
+    """RMS time of its returns from the stamp. The pose is off by about the error of the twist that de-skewed
+    them, times this."""
 
 
 class Shared(NamedTuple):
@@ -97,9 +101,10 @@ def started(
     """Return the state after a first measured pose, with an unknown twist; arguments as for ``start``."""
     shared = shared_errors(measured, config)
     known = {block.name for block in blocks}
+    sigma = np.repeat([config.initial_velocity_sigma_m_s, radians(config.initial_rate_sigma_deg_s)], 3)
     return start(
         measured.T_chaser_target,
-        shared.covariance,
+        shared.covariance + measured.lasting_s**2 * np.diag(sigma**2),
         measured.stamp_ns,
         config=config,
         centre_of_mass_m=centre_of_mass_m,
@@ -129,7 +134,7 @@ def _applied(
     return step(
         grown(predicted, shared.blocks),
         measured.T_chaser_target,
-        shared.covariance,
+        shared.covariance + measured.lasting_s**2 * predicted.covariance[TWIST, TWIST],
         config=config,
         sensitivities=shared.sensitivities,
         white=shared.white,

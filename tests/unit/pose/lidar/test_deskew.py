@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar.deskew import deskewed
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_of_stamp
 from rpod_schemas.config.lidar import LidarConfig, LidarDetectionConfig, LidarNoiseConfig
+from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan
 from rpod_sim_sensor.lidar import LidarEmulator
@@ -122,3 +125,28 @@ def test_an_emulated_skewed_scan_lies_on_the_target_again() -> None:
 
     assert off_m(moved) < 0.005
     assert off_m(scan) > 0.03
+
+
+def test_the_covariance_of_a_scan_that_was_de_skewed_holds() -> None:
+    """Ten scans while the target turns at 8 deg/s: NEES 231 with rays that stayed where they were."""
+    target, config = load_target("envisat-bulky"), LidarConfig(motion="skewed")
+    emulator = LidarEmulator(config, target, seed=4)
+    tracker = ProjectiveIcp(ProjectiveIcpConfig(), target, ScanPattern.of(config.info()))
+    nees = []
+    for frame in range(10):
+        attitude = Rotation.random(rng=np.random.default_rng(frame))
+
+        def pose(time_s: float, attitude: Rotation = attitude) -> RigidTransform:
+            return make_pose(
+                rotation=Rotation.from_rotvec(RATE_RAD_S * time_s) * attitude,
+                translation_m=[0.0, 0.0, 20.0] + VELOCITY_M_S * time_s,
+            )
+
+        returns = emulator.scan([pose(t) for t in config.pose_times_s()], frame=frame)
+        scan = LidarScan(stamp_ns=7, frame_id="lidar", points_m=returns.points_m, time_s=returns.time_s)
+        moved = deskewed(scan, pose(0.0), velocity_m_s=VELOCITY_M_S, rate_rad_s=RATE_RAD_S)
+        found = tracker.track(moved, pose(0.0))
+        turn = (pose(0.0).rotation * found.T_sensor_target.rotation.inv()).as_rotvec()
+        error = np.concatenate((pose(0.0).translation - found.T_sensor_target.translation, turn))
+        nees.append(error @ np.linalg.solve(found.covariance, error))
+    assert np.mean(nees) < 10.0, nees

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.navigation.filter import POSE, FilterState, predict
+from rpod_pose.navigation.filter import POSE, TWIST, FilterState, predict
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, shared_errors, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.ports import ErrorParts
@@ -53,6 +53,21 @@ def test_the_parts_of_a_pose_together_are_the_covariance_of_a_first_state():
     whole = PARTS.white + PARTS.of_sensor + PARTS.of_image + PARTS.of_model
     np.testing.assert_allclose(state.covariance[POSE, POSE], R @ whole @ R.T, atol=1e-12)
     assert [block.considered for block in state.blocks] == [True, True, True]
+
+
+def test_a_scan_that_takes_time_is_as_uncertain_as_the_twist_that_de_skewed_it():
+    scan = replace(measured(target(0.0), FRONT), lasting_s=0.05)
+    first = started(scan, config=CONSIDERED)
+    at_once = started(replace(scan, lasting_s=0.0), config=CONSIDERED)
+    more = first.covariance[POSE, POSE] - at_once.covariance[POSE, POSE]
+    twist = at_once.covariance[TWIST, TWIST]
+    np.testing.assert_allclose(more, 0.05**2 * twist, atol=1e-9)
+    known = replace(first, covariance=np.diag(np.full(len(first.covariance), 1e-8)))
+    pose = first.T_chaser_target
+    slow, quick = (
+        updated(known, replace(scan, T_chaser_target=pose, lasting_s=s), CONSIDERED) for s in (0.05, 0.0)
+    )
+    np.testing.assert_allclose(slow.state.covariance, quick.state.covariance, atol=1e-10)
 
 
 def test_many_frames_leave_the_errors_of_calibration_and_model_and_average_the_noise_out():

@@ -36,6 +36,7 @@ class View:
     stamp_ns: int
     per_turn: float = 0.0
     contradicts: tuple[float, ...] = ()
+    lasting_s: float = 0.0
 
 
 @dataclass
