@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.ray_tree import Waiting, first_hit, in_target, no_nodes
 from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
+from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -24,6 +26,9 @@ by zero; it is 87 deg."""
 PEAK = 0.375
 """Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale.
 Physics: 3/8."""
+HALF_BEAM_RAD = 1.5e-3
+"""Half the width of a beam. Physics: beams of scanners are 0.5 to 5 mrad wide, and neither messages nor users
+state it. A beam gives a return where its edge meets a surface, although its middle passes."""
 HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
 """Mean and variance of minus the logarithm of that density. Physics: integrated numerically."""
 
@@ -66,7 +71,9 @@ class ScanAgreement(NamedTuple):
     agreeing: int
     """Number of returns that the predicted face explains better than clutter does."""
     inconsistent: int
-    """Number of all other returns."""
+    """Number of all other returns, but the grazing ones."""
+    grazing: int
+    """Number of returns whose rays pass the target, and whose beams meet it."""
     missing: float
     """Number of rays that meet a face and gave no return, above the number expected for their echoes."""
 
@@ -96,7 +103,9 @@ class RaySums(NamedTuple):
     agreeing: int
     """Number of returns that the predicted face explains better than clutter does."""
     inconsistent: int
-    """Number of all other returns."""
+    """Number of all other returns, but the grazing ones."""
+    grazing: int
+    """Number of returns whose rays pass the target, and whose beams meet it."""
     met: FloatArray
     """Number of rays that meet a face, shape (RUNGS,)."""
     returned: FloatArray
@@ -105,6 +114,19 @@ class RaySums(NamedTuple):
     """Number of rays that meet a face and gave no return, shape (RUNGS,)."""
     log_variance: FloatArray
     """Sums of the logarithm of a range error's variance, m2, and of its square, shape (2, RUNGS)."""
+
+
+class Beams(NamedTuple):
+    """Where the beams of a scan come from."""
+
+    R: FloatArray
+    """R_sensor_target, shape (3, 3)."""
+    origin: FloatArray
+    """Position of the sensor in target axes, shape (3,), m."""
+    variance_m2: float
+    """Variance of a range."""
+    waiting: Waiting
+    """Memory for the casting of a ray."""
 
 
 @kernel
@@ -121,13 +143,13 @@ def scan_statistics(
         assumed: statistics of returns.
     """
     cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
-    sums = _ray_sums(range_m, R, rays, assumed, True)
+    sums = _ray_sums(range_m, PoseArrays(R, t), rays, assumed, True)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     mean, variance = _expectation(sums, assumed, power)
     missing = _missing(sums, assumed.detection.share[power])
     likelihood = sums.log_density + evidence
     return ScanStatistics(
-        ScanAgreement(likelihood, sums.agreeing, sums.inconsistent, missing), mean, variance
+        ScanAgreement(likelihood, sums.agreeing, sums.inconsistent, sums.grazing, missing), mean, variance
     )
 
 
@@ -137,36 +159,39 @@ def scan_agreement(
 ) -> ScanAgreement:
     """Return the part of ``scan_statistics`` that needs no expectation; arguments and shapes as there."""
     cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
-    sums = _ray_sums(range_m, R, rays, assumed, False)
+    sums = _ray_sums(range_m, PoseArrays(R, t), rays, assumed, False)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     missing = _missing(sums, assumed.detection.share[power])
-    return ScanAgreement(sums.log_density + evidence, sums.agreeing, sums.inconsistent, missing)
+    likelihood = sums.log_density + evidence
+    return ScanAgreement(likelihood, sums.agreeing, sums.inconsistent, sums.grazing, missing)
 
 
 @kernel
 def rendered_likelihood(
-    range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions
+    range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions
 ) -> tuple[float, int]:
     """Return a scan's log likelihood at a rendered pose, and the likeliest index in ``detection.HALVES``.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
-        R: R_sensor_target, shape (3, 3).
+        pose: pose of the target in the sensor.
         rays: rays, target and buffers, which hold the target rendered at the pose.
         assumed: statistics of returns.
     """
-    sums = _ray_sums(range_m, R, rays, assumed, False)
+    sums = _ray_sums(range_m, pose, rays, assumed, False)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
     return sums.log_density + evidence, power
 
 
 @kernel
-def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptions, spread: bool) -> RaySums:
+def _ray_sums(
+    range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions, spread: bool
+) -> RaySums:
     """Return the sums over the rays, after the target was cast at the pose.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
-        R: R_sensor_target, shape (3, 3).
+        pose: pose of the target in the sensor.
         rays: rays, target and buffers, which hold the target rendered at the pose.
         assumed: statistics of returns.
         spread: whether ``log_variance`` is computed, which only the expectation needs.
@@ -174,10 +199,10 @@ def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptio
     directions, normals, albedo = rays.grid.components, rays.faces.normals, rays.faces.albedo
     density, sigma2 = assumed.clutter_density, assumed.sigma_m * assumed.sigma_m
     log_clear = np.log(1.0 - assumed.clutter_share)
-    log_empty = np.log(density) - log_clear
     met, returned, missing = np.zeros(RUNGS), np.zeros(RUNGS), np.zeros(RUNGS)
     log_variance = np.zeros((2, RUNGS))
-    total, agreeing, inconsistent = 0.0, 0, 0
+    total, agreeing, inconsistent, grazing = 0.0, 0, 0, 0
+    R, beams = pose.R, _beams(pose, sigma2)
     for i in range(rays.face.shape[0]):
         for j in range(rays.face.shape[1]):
             m, face = range_m[i, j], rays.face[i, j]
@@ -185,8 +210,10 @@ def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptio
                 continue  # something hides the target
             if face < 0:
                 if m > 0.0:
-                    total += log_empty
-                    inconsistent += 1
+                    edge = _at_edge(m, i, j, rays, beams)
+                    total += np.log(density + edge) - log_clear
+                    grazing += int(edge > density)
+                    inconsistent += int(edge <= density)
                 continue
             dx, dy, dz = directions[0, i, j], directions[1, i, j], directions[2, i, j]
             cosine = 0.0
@@ -215,7 +242,48 @@ def _ray_sums(range_m: FloatArray, R: FloatArray, rays: Rays, assumed: Assumptio
                 agreeing += 1
             else:
                 inconsistent += 1
-    return RaySums(total, agreeing, inconsistent, met, returned, missing, log_variance)
+    return RaySums(total, agreeing, inconsistent, grazing, met, returned, missing, log_variance)
+
+
+@inlined_kernel
+def _beams(pose: PoseArrays, variance_m2: float) -> Beams:
+    """Return what it needs to turn the beams of a scan at a pose, whose ranges have a variance."""
+    origin = np.empty(3)
+    for k in range(3):
+        origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
+    return Beams(pose.R, origin, variance_m2, no_nodes())
+
+
+@inlined_kernel
+def _at_edge(m: float, i: int, j: int, rays: Rays, beams: Beams) -> float:
+    """Return the density of a range whose ray passes the target, and whose beam may meet it by its edge.
+
+    The ray is turned by half a beam towards each of its neighbours. Whether the part of the beam that then
+    meets the target gives a return is not known: the probability is a half. The surface may be turned by 45
+    deg.
+
+    Args:
+        m: measured range.
+        i: row of the ray.
+        j: column of the ray.
+        rays: rays, target and buffers, which hold the target rendered at the pose.
+        beams: where the beams come from.
+    """
+    density, grid = 0.0, rays.grid.components
+    x, y, z = grid[0, i, j], grid[1, i, j], grid[2, i, j]
+    for way in range(4):
+        k, n = i + (way == 0) - (way == 1), j + (way == 2) - (way == 3)
+        if k < 0 or n < 0 or k >= rays.face.shape[0] or n >= rays.face.shape[1]:
+            continue
+        dx, dy, dz = grid[0, k, n] - x, grid[1, k, n] - y, grid[2, k, n] - z
+        part = min(1.0, HALF_BEAM_RAD / np.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-18)))
+        turned = in_target(beams.R, beams.origin, x + part * dx, y + part * dy, z + part * dz)
+        r = first_hit(rays.faces.tree, turned, beams.waiting).range_m
+        if r < np.inf:
+            variance = beams.variance_m2 + (HALF_BEAM_RAD * r) ** 2
+            tail = 1.0 + 0.25 * (m - r) * (m - r) / variance
+            density = max(density, 0.5 * PEAK / (np.sqrt(variance * tail) * tail * tail))
+    return density
 
 
 @kernel

@@ -26,6 +26,7 @@ from rpod_pose.lidar.scan_alignment import (
     without_influential,
 )
 from rpod_pose.lidar.scan_likelihood import (
+    HALF_BEAM_RAD,
     Assumptions,
     Rays,
     ScanStatistics,
@@ -182,11 +183,9 @@ def tracked(  # noqa: PLR0917
         assumed: statistics of returns.
         reach: how far the prediction may be off.
     """
-    likelihood, agreeing, inconsistent, missing = scan_agreement(
-        range_m, start.R, start.t, _rays(problem), assumed
-    )
-    found = _refined(problem, start, likelihood, range_m, assumed)
-    near = agreeing >= reach.near_share * (agreeing + inconsistent + missing)
+    there = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
+    found = _refined(problem, start, there.log_likelihood, range_m, assumed)
+    near = there.agreeing >= reach.near_share * (there.agreeing + there.inconsistent + there.missing)
     if near and _is_sufficient(found, problem, reach):
         return found
     if near:
@@ -243,7 +242,8 @@ def _is_unexplained(found: ScanRegistration) -> bool:
     It is clutter, or the pose has slid along faces until a few returns met a wrong one beside an outline.
     The information does not tell the latter, since the wrong ones are in it.
     """
-    return bool(found.statistics.agreement.inconsistent > 0)
+    agreement = found.statistics.agreement
+    return bool(agreement.inconsistent + agreement.grazing > 0)
 
 
 @kernel
@@ -316,7 +316,7 @@ def settled(
     straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
     for number in range(ROUNDS):
         cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
-        here, power = rendered_likelihood(range_m, pose.R, rays, assumed)
+        here, power = rendered_likelihood(range_m, pose, rays, assumed)
         if here < likelihood - CHANCE:  # the outline is not straight so far
             step *= 0.5
             pose = stepped(kept, step)
@@ -337,7 +337,7 @@ def settled(
             of_ranges * whole,
             gradient_of(evidence.sums, 6) * whole,
             _held(pose, reach),
-            assumed.slack_m,
+            sqrt(assumed.slack_m**2 + HALF_BEAM_RAD**2 / 3.0 * (pose.t**2).sum()),
         )
         if not np.isfinite(found.mean).all():
             break

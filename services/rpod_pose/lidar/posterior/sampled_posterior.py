@@ -229,7 +229,7 @@ def _fill_logs(  # noqa: PLR0917
             cast_near(rays.grid, tree, near, pose.R, pose.t, rays.range_m, rays.face)
         else:
             cast_faces(rays.grid, rays.faces, pose.R, pose.t, buffers)
-        logs[n] = rendered_likelihood(range_m, pose.R, rays, assumed)[0]
+        logs[n] = rendered_likelihood(range_m, pose, rays, assumed)[0]
 
 
 @kernel
