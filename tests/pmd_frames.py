@@ -39,7 +39,7 @@ def strange_frames() -> dict[str, PmdFrame]:
     rng = np.random.default_rng(5)
     folded = CAMERA.model_copy(update={"distortion": np.array([-9.0, 0.0, 0.0, 0.0, 0.0])})
     fisheye = CAMERA.model_copy(update={"distortion": np.full(9, 0.1)})
-    unnamed = CAMERA.model_copy(update={"distortion": np.zeros(0)})
+    unnamed = TINY.model_copy(update={"distortion": np.zeros(0)})
     noise = rng.uniform(0.1, 9.0, (CAMERA.height, CAMERA.width))
     return {
         "nothing": frame_of(np.nan),

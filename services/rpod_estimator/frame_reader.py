@@ -219,8 +219,8 @@ class FrameReader:
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
-            doubt = getattr(self._readers[sensor], "doubt", "")  # a kind of another package may have none
-            defect = "; ".join(filter(None, (_defect(measurement.data), doubt)))
+            inconsistency = getattr(self._readers[sensor], "inconsistency", "")  # other kinds may have none
+            defect = "; ".join(filter(None, (_defect(measurement.data), inconsistency)))
             return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats, defect=defect)
         told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
         reason = f"{Reason.FROZEN}: {told}"

@@ -186,13 +186,13 @@ class LidarReader:
         self._front: LidarInfo | None = None
         self._seen_rows = True
         self._shown = 0
-        self._doubts: dict[str, str] = {}
+        self._inconsistencies: dict[str, str] = {}
         self._logged: set[str] = set()
 
     @property
-    def doubt(self) -> str:
-        """What info and points of the LIDAR say against each other; empty if nothing."""
-        return "; ".join(self._doubts.values())
+    def inconsistency(self) -> str:
+        """What is inconsistent between info and points of the LIDAR; empty if nothing."""
+        return "; ".join(self._inconsistencies.values())
 
     @property
     def said(self) -> LidarInfo | None:
@@ -207,7 +207,7 @@ class LidarReader:
         info = read_lidar_info(message)
         if info.azimuth_rad.size and info.elevation_rad.size:
             self._info = info
-            self._doubts.clear()
+            self._inconsistencies.clear()
 
     def read(self, frame: Assembled[Received]) -> LidarScan:
         """Return a scan."""
@@ -224,7 +224,7 @@ class LidarReader:
         fields = read_points(message)
         item = time_field(message)
         if item is not None and "t" not in fields:
-            self._doubt(
+            self._note(
                 "times",
                 f"point field {item.name!r} is neither time from the stamp nor absolute time: ignored, "
                 "so that a scan counts as measured at once; send seconds from the stamp as float32 t",
@@ -260,7 +260,7 @@ class LidarReader:
             in_order = self._inferred.in_order
             return in_order(points_m), tuple(None if each is None else in_order(each) for each in others)
         if aside_rad := self._inferred.aside_rad:
-            self._doubt(
+            self._note(
                 "rows",
                 f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of the info, so that "
                 "misses count for the wrong rays; let the driver destagger its rows and give points in "
@@ -274,7 +274,7 @@ class LidarReader:
             return
         said = self._info.elevation_rad.size, self._info.azimuth_rad.size
         if found != said:
-            self._doubt(
+            self._note(
                 "size",
                 f"scans have {found[0]} x {found[1]} points, elevations by azimuths, the info states "
                 f"{said[0]} x {said[1]}; let the driver publish the info of its scan mode",
@@ -289,7 +289,7 @@ class LidarReader:
         if seen is None:
             return self._seen_rows if said is None else said
         if said not in (None, seen):
-            self._doubt(
+            self._note(
                 "turned",
                 f"info says rows_are_elevation: {said}, but the points show {seen}, which is used; are "
                 "azimuth and elevation, or the axes of the points, exchanged?",
@@ -298,9 +298,9 @@ class LidarReader:
         self._seen_rows = seen
         return seen
 
-    def _doubt(self, about: str, text: str) -> None:
-        """Keep what info and points say against each other until another info comes, and log it once."""
-        self._doubts.setdefault(about, text)
+    def _note(self, about: str, text: str) -> None:
+        """Keep an inconsistency of info and points until another info comes, and log it once."""
+        self._inconsistencies.setdefault(about, text)
         if about not in self._logged:
             self._logged.add(about)
             log.warning("%s", text)

@@ -1,6 +1,7 @@
 """``rpod campaign`` as an operator meets it."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import polars as pl
 import psutil
+from dask_processes import install_counting
 
 from rpod.campaign.command import campaign_command
 
@@ -47,7 +49,21 @@ def test_json_is_one_object_and_the_report_stands_beside_the_trials(tmp_path, ca
 
 
 def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(tmp_path):
-    arguments = (*SMALL, "--trials", "20000", "--jobs", "1", "--out", tmp_path)
+    site, out = install_counting(tmp_path), tmp_path / "out"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(site), str(Path(__file__).parents[1])))}
+    arguments = (
+        "counting",
+        "--ranges",
+        "1",
+        "--pause",
+        "0.01",
+        "--trials",
+        "20000",
+        "--jobs",
+        "1",
+        "--out",
+        out,
+    )
     kept = 0
     for number in (signal.SIGINT, signal.SIGTERM):
         running = subprocess.Popen(
@@ -55,10 +71,11 @@ def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(tmp_
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            env=environment,
             start_new_session=True,
         )
         deadline_s = time.monotonic() + 60.0
-        while trials_in(tmp_path) == kept:
+        while trials_in(out) == kept:
             assert running.poll() is None
             assert time.monotonic() < deadline_s
             time.sleep(0.1)
@@ -71,7 +88,7 @@ def test_a_signal_leaves_what_is_done_to_the_next_run_and_no_process_behind(tmp_
         assert not psutil.wait_procs(children, timeout=10.0)[1]
         assert said.startswith("resuming" if kept else "starting")
         assert not kept or f"{kept} of 20000 trials are done" in said
-        kept = trials_in(tmp_path)
+        kept = trials_in(out)
 
 
 def trials_in(out: Path) -> int:

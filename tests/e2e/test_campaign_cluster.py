@@ -104,7 +104,7 @@ def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twic
     done, disturbances = [], []
 
     def disturb() -> None:
-        for turn in range(6):
+        for turn in range(5):
             until = len(done) + chance.randint(20, 30)  # by progress: how fast that is, the machine decides
             while len(done) < until and not stop.wait(0.05):
                 dask.revive_workers()

@@ -90,9 +90,12 @@ def test_for_a_killed_estimator_and_router_those_in_reserve_take_over_and_ps_say
             "estimator": {
                 "verb": "estimator",
                 "reserve": True,
-                "config": TARGET | {"sensors": [{"kind": "pmd"}]},
+                "config": TARGET | {"sensors": [{"kind": "lidar"}]},
             },
-            "emulator": {"verb": "emulator", "config": TARGET | {"sensors": [{"kind": "pmd", "rate_hz": 5}]}},
+            "emulator": {
+                "verb": "emulator",
+                "config": TARGET | {"sensors": [{"kind": "lidar", "rate_hz": 5}]},
+            },
             "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
         }
     )

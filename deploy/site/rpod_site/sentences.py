@@ -4,12 +4,12 @@ pydantic would read them at the import of each model (``use_attribute_docstrings
 time of importing all configurations. A service does not need them; the pages of the reference do.
 """
 
-import ast
 import inspect
+import sys
 from functools import cache
-from itertools import pairwise
-from textwrap import dedent
+from pathlib import Path
 
+import griffe
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -19,18 +19,13 @@ def described(model: type[BaseModel]) -> dict[str, FieldInfo]:
     for name, field in model.model_fields.items():
         if field.description is None:
             declaring = next(base for base in model.__mro__ if name in inspect.get_annotations(base))
-            field.description = _docstrings(declaring).get(name)
+            docstring = _module(declaring.__module__)[f"{declaring.__qualname__}.{name}"].docstring
+            field.description = docstring and docstring.value
     return model.model_fields
 
 
 @cache
-def _docstrings(model: type) -> dict[str, str]:
-    """Return the docstrings below the fields that a class itself declares, by name."""
-    (declared,) = ast.parse(dedent(inspect.getsource(model))).body
-    found = {}
-    for field, below in pairwise(declared.body if isinstance(declared, ast.ClassDef) else []):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-            text = below.value if isinstance(below, ast.Expr) else None
-            if isinstance(text, ast.Constant) and isinstance(text.value, str):
-                found[field.target.id] = inspect.cleandoc(text.value)
-    return found
+def _module(name: str) -> griffe.Module:
+    """Return what the source of an imported module declares, read as mkdocstrings reads it."""
+    file = Path(inspect.getfile(sys.modules[name]))
+    return griffe.visit(name, file, file.read_text("utf-8"))

@@ -1,4 +1,4 @@
-"""Poses of known bodies in a log, as far as an estimator has come."""
+"""Poses of known bodies in a log, passed on up to the time that an estimator has reached."""
 
 from collections import Counter
 from collections.abc import Iterator

@@ -74,7 +74,7 @@ class Frames:
         return arrived
 
     def _let_leave(self, logged: Logged) -> None:
-        """Let publishers leave whose last message this was."""
+        """Let the publishers whose last message this was give up their topics."""
         session = self.holders.ended(as_received(logged)) if self.holders else ""
         for topic in self.reader.latched if session else ():
             self.reader.leave(session, topic)

@@ -1,8 +1,8 @@
 """Holders of topics in a log (ICD section 2): of several publishers of a topic one is used, as in a live run.
 
-A live run learns that a publisher is gone from its liveliness token, which no log holds. Here its session is
-gone after the last message of its streams, unless the log ends before it would be silent. So a successor may
-be used a little earlier than in the live run.
+A live run learns from a liveliness token that a publisher is gone. No log contains such tokens. In a replay a
+session ends with the last message of its streams, unless the log ends before the session would count as
+silent. So a successor may be used a little earlier than in the live run.
 """
 
 import json
@@ -91,7 +91,7 @@ class LoggedHolders:
                 self._holders.hold(part.topic.name, part.peer, heard_s)
 
     def ended(self, received: Received) -> str:
-        """Return the session that ends with a message, and holds nothing any more; empty if none does."""
+        """Return the session that ends with a message, and release its topics; empty if none ends."""
         session = received.session
         if not session or received.topic.name not in self._streams:
             return ""
@@ -104,7 +104,7 @@ class LoggedHolders:
         return session
 
     def release(self, keep_gid: str | None) -> str:
-        """Let go of all topics, as a reset does; return the session whose publishers are kept, if any."""
+        """Give up all topics, as a reset does; return the session whose publishers are kept, if any."""
         named = (session for _, gid, session in self._log.publishers if gid == keep_gid)
         keep = next(named, "") if keep_gid else ""
         self._holders.release(keep=keep, now_s=self._now_s)

@@ -1,4 +1,4 @@
-"""Readings of the chaser's IMU in a log, as far as an estimator has come."""
+"""Readings of the chaser's IMU in a log, passed on up to the time that an estimator has reached."""
 
 from collections import Counter
 from collections.abc import Iterator

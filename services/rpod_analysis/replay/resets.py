@@ -1,7 +1,7 @@
 """Resets of the estimator that a log records: its diagnostics count them and keep the last request.
 
-A reset takes effect at the next frame, and is in the diagnostics a moment later. If the statuses between
-two diagnostics show that the track ended without being lost, that is where it took effect. Otherwise it is
+A reset takes effect at the next frame, and is in the diagnostics a moment later. If the statuses between two
+diagnostics show that the track ended without being lost, the reset took effect there. Otherwise it is
 repeated after the last status before the diagnostics.
 """
 

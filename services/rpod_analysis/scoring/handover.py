@@ -1,10 +1,10 @@
 """Handovers from one sensor to another: the time without a measurement, and how far the estimates jump.
 
-A handover is the first accepted frame of a sensor, or its first one after ``PAUSE_S`` without, while frames
-of another sensor were accepted less than ``PAUSE_S`` before. A change is that of the error between two
-successive estimates, from the estimate before the last frame of the other sensor on. Motion does not count.
-A jump is the part of a change beyond the covariance of the earlier estimate: what is longer than the radius,
-in the direction of the change, of the ellipsoid that holds 95 % of its errors (ICD section 6).
+A handover is the first accepted frame of a sensor, or its first one after ``PAUSE_S`` without an accepted
+frame, if a frame of another sensor was accepted less than ``PAUSE_S`` before. Around it, the changes of the
+error between successive estimates are compared, from the estimate before the last frame of the other sensor
+on. Since errors are compared, motion does not count. A jump is the part of a change beyond the covariance of
+the earlier estimate: the length beyond the ellipsoid that contains 95 % of its errors (ICD section 6).
 """
 
 from itertools import pairwise
@@ -101,7 +101,7 @@ class Handovers:
 
 
 def beyond(change: FloatArray, covariance: FloatArray) -> float:
-    """Return how much longer a change is than a covariance lets it be; 0 if it is not, or nothing changes.
+    """Return the length by which a change exceeds the 95 % ellipsoid of a covariance; 0 if it is inside.
 
     Args:
         change: change of an error, shape (3,).

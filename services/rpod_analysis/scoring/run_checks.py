@@ -111,7 +111,7 @@ def _estimation(summary: Summary) -> Iterator[Check]:
 
 
 def _truth(summary: Summary) -> Iterator[Check]:
-    """Yield what the truth's own errors are, if it states them; a fact, which is neither good nor bad."""
+    """Yield the truth's own errors, if it states them. This check neither passes nor fails."""
     truth = summary.truth_error
     if truth is not None:
         yield Check(

@@ -122,7 +122,7 @@ class TargetCheck:
 
 
 def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
-    """Return what rpod makes of a target.
+    """Return the properties of a target, and how well methods work on it.
 
     Args:
         target: the target.

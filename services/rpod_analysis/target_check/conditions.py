@@ -70,7 +70,7 @@ def conditions(emulated: EmulatedKind, target: Target, count: int, *, seed: int)
 
 
 def _sizes(emulated: EmulatedKind, target: Target) -> tuple[list[str], Callable[[int, RigidTransform], bool]]:
-    """Return the conditions' names, and whether the target looks larger at a pose than one of them wants."""
+    """Return the names of the conditions, and whether the target looks larger at a pose than they require."""
     ideal = emulated.ideal(make_pose(translation_m=[0.0, 0.0, 3.0 * target.radius_m + 1.0]))
     lens, corners_m = ideal.lens, target.triangles_m.reshape(-1, 3)
     if lens is not None:

@@ -1,13 +1,13 @@
-"""Near symmetries by what sensors resolve: predicted frames of two poses, compared against the noise.
+"""Near symmetries that sensors do not resolve: predicted frames of two poses, compared against the noise.
 
-A turn matters if one frame may not distinguish the turned pose from the right one. For each sensor, at the
-ranges of ``conditions``, the target is cast at a pose and at the turned one, which is first shifted and
-turned by the least-squares step that brings the two together. A ray that meets both has the log likelihood
-ratio d^2 / (2 s^2): d is the difference of the ranges beyond the errors of model and sensor that no average
-removes, and s the noise of emulated frames; d / s is at most three. A ray that meets only one of them, or
-surfaces of different brightness in a camera, has the greatest ratio. Outlines and steps of the range may
-differ by one ray. The sum, times the share of rays that an emulated frame measures, is the mean by which the
-right pose wins.
+A turn is a near symmetry if one frame may not distinguish the turned pose from the right one. For each
+sensor, at the ranges of ``conditions``, the target is cast at a pose and at the turned one, which is first
+shifted and turned by the least-squares step that brings the two together. A ray that meets both has the log
+likelihood ratio d^2 / (2 s^2): d is the difference of the ranges beyond the errors of model and sensor that
+no average removes, and s the noise of emulated frames; d / s is at most three. A ray that meets only one of
+them, or surfaces of different brightness in a camera, has the greatest ratio. Outlines and steps of the range
+may differ by one ray. The sum, times the share of rays that an emulated frame measures, is the mean by which
+the right pose wins.
 """
 
 from collections.abc import Iterator
@@ -43,9 +43,9 @@ _SAME_BRIGHTNESS = 1
 """Steps between dark, grey and white that a camera's light and exposure may hide."""
 _BRIGHTNESS = {"dark": 0, "grey": 1, "white": 2, "mirror": 4}
 _FEWEST, _FEWEST_PIXELS = 6, 200
-"""Least number of rays by which two poses are brought together, and that a scan has; the same of an image."""
+"""Least number of a scan's rays, and of an image's pixels, by which two poses are aligned and compared."""
 _HELD = 1e-6
-"""Share of the information's trace that is added, so that motions that no ray determines are held."""
+"""Share of the information's trace that is added: directions that no ray determines then do not move."""
 _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
@@ -53,8 +53,8 @@ _STEEPEST = 0.2
 def checked_symmetries(target: Target) -> list[FoundSymmetry]:
     """Return the exact and the near symmetries of a target, with what sensors make of each; exact ones first.
 
-    Exact is what no sensor distinguishes in any view, which a small part that few places of the comparison by
-    shape show may do.
+    A symmetry is exact if no sensor distinguishes it in any view. A small part, which the comparison by shape
+    meets in few places, may distinguish it.
     """
     found = find_symmetries(target)
     if not found:
@@ -72,7 +72,7 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
 
 
 def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:
-    """Return whether a symmetry by any turn about an axis includes a symmetry about the same axis."""
+    """Return whether a continuous symmetry includes another symmetry about the same axis."""
     return one.axis == around.axis and not one.continuous and one.exact <= around.exact
 
 
@@ -144,7 +144,10 @@ def _conditions(kind: str, target: Target) -> Iterator[tuple[int, Condition, Emu
 
 
 def _likeness(target: Target, sensor: _Sensor, one: FoundSymmetry) -> list[Likeness]:
-    """Return how well a sensor distinguishes the two poses, by condition; of any turn, the clearest one."""
+    """Return how well a sensor distinguishes the two poses, by condition.
+
+    About a free axis, the turn counts that it distinguishes best.
+    """
     turns = TURNS if one.continuous else (1.0 / one.order,)
     rotations = [Rotation.from_rotvec(2.0 * np.pi * turn * np.array(one.axis)) for turn in turns]
     turned = [_turn(rotation, one) for rotation in rotations]

@@ -111,7 +111,7 @@ class _Tried:
 def try_methods(
     target: Target, *, trials: int | None = None, kinds: Sequence[SensorKind] | None = None
 ) -> tuple[MethodFacts, ...]:
-    """Return what the methods of sensor kinds make of a target; frames are seeded.
+    """Return the results of the methods of sensor kinds on a target; frames are seeded.
 
     Args:
         target: the target to find and track.
@@ -129,7 +129,7 @@ def try_methods(
 
 
 def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -> list[MethodFacts]:
-    """Return what a kind's methods make of a target: its default methods first, then the others."""
+    """Return the results of a kind's methods on a target: its default methods first, then the others."""
     emulated = EmulatedKind(kind, target, seed=_SEED)
     seen = [
         (each, emulated.frame(each.T_sensor_target, sun_W_m2=each.sun_W_m2, number=number))

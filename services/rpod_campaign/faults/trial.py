@@ -216,7 +216,7 @@ def _fields(settings: Any) -> dict[str, Any]:
 def _processed(
     estimator: Estimator, reader: FrameReader, messages: list[Received], stamp_ns: int
 ) -> Iterator[Output]:
-    """Yield what the estimator makes of the messages of a frame, or of the time in which none came."""
+    """Yield the estimator's results for the messages of a frame, or for the time in which no message came."""
     arrived = list(_arrived(reader, messages))
     estimator.learn(reader.infos)
     for each in arrived:

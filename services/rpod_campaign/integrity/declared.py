@@ -1,7 +1,7 @@
-"""Errors of mount, clock and ranges within what is declared of a sensor: those that a nominal run has.
+"""Errors of mount, clock and ranges that a nominal run has, as large as they are declared for a sensor.
 
-The levels contain a declared standard deviation of each of them, so that a level is compared with an error
-which may contain them. Without these errors a level would look too large by what is declared.
+The protection levels contain a declared standard deviation of each of these errors. So the errors with which
+levels are compared must contain them too. Without them a level would look too large.
 """
 
 from dataclasses import dataclass, replace

@@ -25,9 +25,9 @@ class Fault:
     sizes: tuple[float, ...]
     unit: str
     lasting: bool = False
-    """Whether it is there from the first frame on."""
+    """Whether the fault exists from the first frame on."""
     seen_by_one: bool = True
-    """Whether one sensor can see it without another; if not, the levels have a declared sigma for it."""
+    """Whether a sensor alone can detect the fault; if not, the levels contain a declared sigma for it."""
 
 
 FAULTS = (
@@ -99,7 +99,7 @@ class Injector:
 
 
 class TurnedTracker:
-    """A tracker that believes the true pose turned by an angle, as a flip would be believed.
+    """A tracker that accepts the true pose turned by an angle, as it would accept a flipped pose.
 
     Args:
         tracker: the tracker that measures.

@@ -14,7 +14,9 @@ def with_longer_ranges(
     longer_m: float = 0.0,  # noqa: ARG001 - used by those that are registered
     scale: float = 1.0,  # noqa: ARG001
 ) -> SensorFrame:
-    """Return a frame whose ranges, of a camera its z-depths, are longer by a factor and by a length.
+    """Return a frame with ranges that are multiplied by a factor and longer by a length.
+
+    The ranges of a camera are its z-depths.
 
     Raises:
         TypeError: the frame is of a kind that is not registered here.

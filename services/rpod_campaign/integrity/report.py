@@ -29,8 +29,9 @@ _CONFIDENCE = 0.95
 def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell.
 
-    Alerted: from a frame on, no error above the alert limit has a usable state. The time to alert runs to
-    this frame from the first error above the limit. False alerts come before the fault and such an error.
+    A sequence is alerted if there is a frame after which no estimate with an error above the alert limit has
+    a usable state. The time to alert runs from the first error above the limit to this frame. An alert is
+    false if it comes before the fault and before the first such error.
     """
     scored = rows.filter(pl.col("attitude_error_deg").is_not_null())
     available = (

@@ -48,7 +48,7 @@ class Window:
     """Mean area of the target's silhouette, m2."""
 
     def range_m(self, returns: float) -> float:
-        """Return the range at which so many rays meet the mean silhouette, m, or the nearest."""
+        """Return the range, m, at which a number of rays meets the mean silhouette; at least the least."""
         return max(self.nearest_m, sqrt(self.silhouette_m2 / returns) / radians(self.step_deg))
 
     def config(self) -> LidarConfig:
@@ -98,7 +98,7 @@ def scan_with_returns(
     returns: float,
     trial: int,
 ) -> tuple[RigidTransform, LidarScan]:
-    """Return a pose on the boresight and its scan, with about so many returns where the window allows it.
+    """Return a pose on the boresight and its scan, with about the wanted returns if the window allows it.
 
     The range is corrected by the number of returns at it, since few rays of an inclined or dark surface come
     back from afar.
@@ -123,7 +123,7 @@ def scan_with_returns(
 
 @lru_cache(maxsize=256)
 def range_of_returns(name: str, returns: float) -> float:
-    """Return the range at which the 2015 paper's LIDAR has so many returns on average, m, with 3 digits.
+    """Return the range, m, at which the 2015 paper's LIDAR has a number of returns on average, with 3 digits.
 
     It is not less than that at which the target is in the LIDAR's window of 40 deg at any attitude.
     """

@@ -161,7 +161,10 @@ def _effect(
 
 
 def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned: bool = False) -> pl.Series:
-    """Return which poses any limit refuses; with those that only warn, at which poses no track begins."""
+    """Return which poses at least one limit refuses; with ``warned``, also those of which a limit warns.
+
+    At a pose that is refused or warned of, no track begins.
+    """
     by_any = pl.Series(np.zeros(rows.height, bool))
     for each in found:
         if warned or each.field.limit.usual is None:

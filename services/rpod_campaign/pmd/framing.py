@@ -63,9 +63,10 @@ def range_filling(target: Target, filled: float, camera: PmdConfig) -> float:
 def framed(
     target: Target, camera: PmdConfig, *, filled: tuple[float, float], generator: Generator
 ) -> RigidTransform:
-    """Return T_sensor_target at any attitude, as far away as the target fills a random share of the image.
+    """Return T_sensor_target at a random attitude.
 
-    It is nearer if it would be beyond the unambiguous range of the camera.
+    The range is that at which the target fills a random share of the image. It is shorter if this would be
+    beyond the unambiguous range of the camera.
     """
     attitude = Rotation.random(rng=generator)
     share, aside = generator.uniform(*filled), generator.uniform(-_ASIDE, _ASIDE, 2)

@@ -66,7 +66,7 @@ def _misbuilt(triangles_m: FloatArray, shift_m: FloatArray, growth_m: FloatArray
 
 
 def has_material(target: str, material: str) -> bool:
-    """Return whether a target of a name has a material, with which it may be covered."""
+    """Return whether the target of a name has a material. Only with such a material can it be covered."""
     return any(known.name == material for known in cached_target(target).materials)
 
 

@@ -35,7 +35,7 @@ own."""
 RETURNS = 120.0
 """Least number of rays that meet the target's mean silhouette at the far end of a LIDAR's sequence."""
 STEPS_DEG = (1.0, 0.5, 0.25, 0.1, 0.05)
-"""Steps of the LIDAR's scan, deg; the largest that gives so many returns."""
+"""Steps of the LIDAR's scan, deg; the largest one that gives ``RETURNS`` is taken."""
 EPOCH_S = 100.0
 _MOTION = 21
 """Stream of random numbers."""

@@ -60,7 +60,7 @@ OK = InputState(Health.OK, "")
 class _Frame:
     time_s: float
     loss: Loss | None
-    doubt: str = ""
+    weak_support: str = ""
 
 
 class SensorBook:
@@ -120,10 +120,10 @@ class SensorBook:
             self._gaps_s.append(max(now_s - self._heard_s, 0.0))
         self._heard_s = now_s
 
-    def use(self, now_s: float, doubt: str = "") -> None:
+    def use(self, now_s: float, weak_support: str = "") -> None:
         """Count a frame that was used, and why it supports its pose too little, if it does."""
         self.used += 1
-        self._recent.append(_Frame(now_s, None, doubt))
+        self._recent.append(_Frame(now_s, None, weak_support))
 
     def lose(self, loss: Loss, now_s: float) -> None:
         """Count a frame that was not used."""
@@ -192,12 +192,12 @@ class SensorBook:
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
-        doubts = [frame.doubt for frame in self._recent if frame.doubt]
-        if len(doubts) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
+        weak = [frame.weak_support for frame in self._recent if frame.weak_support]
+        if len(weak) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
             return InputState(
                 Health.WARN,
-                f"{self.name}: {len(doubts)} of {len(self._recent)} frames support the pose too little: "
-                f"{doubts[-1]}; a quarter of such frames ends a track, an eighth lets none begin; "
+                f"{self.name}: {len(weak)} of {len(self._recent)} frames support the pose too little: "
+                f"{weak[-1]}; a quarter of such frames ends a track, an eighth lets none begin; "
                 "compare model and target (shape, materials), and look at lens and exposure",
             )
         if self.repeats < LEAST_FRAMES:

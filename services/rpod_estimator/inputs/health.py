@@ -74,7 +74,7 @@ class InputHealth:
             return
         book.repeats, book.defect = arrived.repeats, arrived.defect
         if status.accepted:
-            book.use(now_s, output.doubt)
+            book.use(now_s, output.weak_support)
         else:
             kind = SEARCHING if output.why.startswith(SLOW_SEARCH) else REJECTED
             book.lose(Loss(arrived.refused or kind, output.why), now_s)

@@ -42,7 +42,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
-from rpod_pose.search.even_samples import normal_steps
+from rpod_pose.search.even_samples import steps_of
 from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
@@ -66,8 +66,6 @@ UNKNOWN_SIGMA_M = 0.05
 DRAWN_POWER = 4
 """Two to this power poses are drawn around one, to tell whether it is settled. Numerics: a budget; where a
 pose is some standard deviations off, several of 16 are likelier."""
-DAMPED = 1e-6
-"""Share of its variances that is added to a covariance before its root. Numerics: rounding."""
 
 _UNEVEN = 0.15
 """Error of ranges that neighbours may share by their surface, over the stated sigma. Hand: 3 of 20 mm."""
@@ -251,8 +249,7 @@ class ScanModel:
         """
         if not np.isfinite(covariance).all():
             return False
-        damped = covariance + DAMPED * np.diag(np.diag(covariance))
-        steps = normal_steps(DRAWN_POWER) @ np.linalg.cholesky(damped).T
+        steps = steps_of(covariance, DRAWN_POWER)
         measured, rays = self._cropped(seen, pose)
         logs = log_likelihoods(measured, pose, np.vstack((np.zeros(6), steps)), rays, self.assumed)
         return bool(logs.max() <= logs[0] + CHANCE)

@@ -86,8 +86,10 @@ class Results:
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
         used = registration if odometry and not told else None
-        doubt = "" if told else measured.belief.reason
-        return Output(status, odometry, refused, joints, doubt=doubt, measured=used, search=search)
+        weak_support = "" if told else measured.belief.reason
+        return Output(
+            status, odometry, refused, joints, weak_support=weak_support, measured=used, search=search
+        )
 
     def silent(
         self, state: NavigatorState, stamp_ns: int, reason: str, *, sensor: str = ""

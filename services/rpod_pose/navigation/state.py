@@ -87,7 +87,7 @@ class Output:
     """Pixels for which the frame was refused; None if it was not, or if they are not known."""
     joints: Joints | None = None
     """Angles of the target's joints, with the odometry; None for a target without joints."""
-    doubt: str = ""
+    weak_support: str = ""
     """Reason why the measurement supports its pose too little although it is used; empty if it does not."""
     measured: Registration | None = None
     """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was

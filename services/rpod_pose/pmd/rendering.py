@@ -109,6 +109,10 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
         reach: distance of the eight rays around it, along rows and columns, px.
     """
     owner, rays, stride, triangles = rendered.triangle, rendered.rays, rendered.stride, rendered.triangles_m
+    if not _any_within(
+        owner, i, j, max(int(reach / stride), 1)
+    ):  # most pixels of a frame that shows other things
+        return Around(np.inf, 0.0, 0)
     R, t = rendered.pose
     rows, columns = owner.shape
     below, beside = (i + 1 if i + 1 < rows else i - 1), (j + 1 if j + 1 < columns else j - 1)
@@ -136,6 +140,17 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     if hits == 0:  # triangles smaller than a pixel may lie between the nine rays
         return _around_coarsely(rendered, i, j, int(reach / stride))
     return Around(low, high, hits)
+
+
+@kernel
+def _any_within(owner: NDArray[np.int32], i: int, j: int, width: int) -> bool:
+    """Return whether a triangle, -1 for none, is in ``owner``, (rows, columns), within a number of both."""
+    rows, columns = owner.shape
+    for v in range(max(i - width, 0), min(i + width + 1, rows)):
+        for u in range(max(j - width, 0), min(j + width + 1, columns)):
+            if owner[v, u] >= 0:
+                return True
+    return False
 
 
 @kernel

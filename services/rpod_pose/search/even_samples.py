@@ -1,4 +1,4 @@
-"""Points spread evenly over a unit cube, the same at each start."""
+"""Points spread evenly over a unit cube, and steps drawn with a covariance, the same at each start."""
 
 from functools import cache
 
@@ -11,6 +11,9 @@ from rpod_target.tables import kept
 
 _SEED = 1
 """Seed of the scrambling. Numerics: any seed is as even."""
+_WIDENED = 1e-6
+"""Share of its variances that is added to a covariance before its Cholesky decomposition. Numerics: rounding
+may leave a nearly singular covariance with a negative eigenvalue; steps change by half of this share."""
 
 
 def sobol(dimensions: int, power: int) -> FloatArray:
@@ -19,8 +22,15 @@ def sobol(dimensions: int, power: int) -> FloatArray:
     return kept("sobol", 1, inputs, lambda: {"points": _computed(dimensions, power)})["points"]
 
 
+def steps_of(covariance: FloatArray, power: int) -> FloatArray:
+    """Return 2^power normal steps with a covariance of shape (6, 6), shape (2^power, 6)."""
+    widened = covariance + _WIDENED * np.diag(np.diag(covariance))
+    steps: FloatArray = _normal_steps(power) @ np.linalg.cholesky(widened).T
+    return steps
+
+
 @cache
-def normal_steps(power: int) -> FloatArray:
+def _normal_steps(power: int) -> FloatArray:
     """Return 2^power standard normal steps in six dimensions, always the same, shape (2^power, 6)."""
     steps: FloatArray = ndtri(sobol(6, power))
     return steps

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from counting_campaign import CAMPAIGN, CountingOptions
 
+from rpod_campaign.engine.errors import WorkerDiedError
 from rpod_campaign.engine.executor import cluster_worker, dispatch
 from rpod_campaign.engine.executor.batches import Batches
 from rpod_campaign.engine.executor.cluster import _job
@@ -67,10 +68,14 @@ class PlayedClient:
 
 
 @pytest.fixture
-def supply(tmp_path, monkeypatch):
-    """Return a function that makes the dispatch of 20 trials to a client's workers, and what it notes."""
+def supply(tmp_path, monkeypatch, request):
+    """Return a function that makes the dispatch of trials to a client's workers, and what it notes.
+
+    There are two cells of ten trials, or of as many as the test says.
+    """
     monkeypatch.setattr(dispatch, "_LOOK_S", 0.01)
-    work = prepare(CAMPAIGN, CountingOptions(trials=10), out=tmp_path, version="1")
+    trials = getattr(request, "param", 10)
+    work = prepare(CAMPAIGN, CountingOptions(trials=trials), out=tmp_path, version="1")
     batches, notes = Batches(work.tasks()), []
 
     def make(client: PlayedClient) -> Dispatch:
@@ -162,3 +167,25 @@ def test_a_lone_worker_with_a_long_trial_is_waited_for_and_told_of_twice(supply)
     assert first.new == (0,)
     assert len(notes) == 2
     assert time.monotonic() - begin_s > 0.4
+
+
+@pytest.mark.parametrize("supply", [1, 2, 10], indirect=True)
+def test_a_trial_that_ends_its_worker_with_the_answer_of_the_one_before_is_the_one_that_is_named(supply):
+    make, _, _ = supply
+    client, held = PlayedClient("worker-0"), []
+    client.take = lambda _, future: future.name == "run" and not held.append(future)
+    real = dispatch.Dispatch._feed
+
+    def feed(self) -> None:
+        real(self)
+        if any(future.arguments[1:] == (1, (0,)) for future in held):
+            client.workers = (f"worker-{len(client.runs)}",)  # in place of the one that ended
+        else:
+            for future in held:
+                future.end()
+        held.clear()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dispatch.Dispatch, "_feed", feed)
+        with pytest.raises(WorkerDiedError, match=r"ended 3 times .*cell 1 .*trial 0"):
+            finished(make(client).run(ADDRESS, patience_s=60.0))

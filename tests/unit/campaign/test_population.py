@@ -192,8 +192,10 @@ def test_the_command_prints_totals_beside_the_cells(tmp_path, capsys):
 def test_an_ambiguous_answer_is_a_success_only_with_the_truth_among_several_hypotheses():
     truth = make_pose(translation_m=(0.0, 0.0, 9.0))
     wrong, other = truth * make_pose(rotation=TURNED), truth * make_pose(rotation=TURNED.inv())
-    doubt = BeliefLevel.DOUBTFUL
-    with_truth, without = counted(answer(doubt, wrong, truth)), counted(answer(doubt, wrong, other))
+    with_truth, without = (
+        counted(answer(BeliefLevel.DOUBTFUL, wrong, truth)),
+        counted(answer(BeliefLevel.DOUBTFUL, wrong, other)),
+    )
     assert (with_truth["ambiguous"], with_truth["truth_among"], with_truth["right"]) == (True, True, False)
     assert (without["ambiguous"], without["truth_among"]) == (True, False)
     alone = counted(answer(BeliefLevel.ACCEPTED, truth))

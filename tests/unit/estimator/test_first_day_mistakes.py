@@ -57,10 +57,10 @@ def doubt_of(points_m, said, *, again=None):
         if each is not None:
             reader.learn(write_lidar_info(1, "lidar", each))
             reader.read(Assembled(1, {"points": part}))
-    return reader.doubt
+    return reader.inconsistency
 
 
-def test_points_that_agree_with_their_info_leave_no_doubt():
+def test_points_that_agree_with_their_info_are_consistent():
     assert doubt_of(sphere(), info()) == ""
 
 

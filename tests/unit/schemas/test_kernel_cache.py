@@ -4,6 +4,7 @@ import ast
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -105,9 +106,16 @@ def package(tmp_path):
 @pytest.fixture
 def at_once(package):
     """Run the package in some new processes at the same time; return value and use of the cache of each."""
+    with new_processes(package) as run:
+        yield run
+
+
+@contextmanager
+def new_processes(package, **environment):
+    """Give a function that runs the package in some new processes at the same time."""
     with subprocess.Popen(
         [sys.executable, "-c", FORKS],
-        env=environment_of(package),
+        env=environment_of(package) | environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -121,18 +129,6 @@ def at_once(package):
         yield run
         forking.stdin.close()
     assert forking.returncode == 0
-
-
-def run(package, **environment):
-    finished = subprocess.run(
-        [sys.executable, "-c", RUN],
-        env=environment_of(package) | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert finished.returncode == 0, finished.stderr
-    return outcome(finished.stdout)
 
 
 def environment_of(package):
@@ -171,19 +167,21 @@ def test_a_change_is_seen_wherever_it_is_and_what_has_not_changed_is_not_compile
 
 def test_a_folder_that_the_user_chose_is_used(package, tmp_path):
     chosen = tmp_path / "chosen"
-    assert run(package, NUMBA_CACHE_DIR=str(chosen)) == (6.0, False)
-    assert list(chosen.rglob("*.nbc"))
-    assert not list(package.rglob("*.nbc"))
-    change(package, "far", "2.0", "3.0")
-    assert run(package, NUMBA_CACHE_DIR=str(chosen))[0] == 9.0
+    with new_processes(package, NUMBA_CACHE_DIR=str(chosen)) as run:
+        assert run(1) == [(6.0, False)]
+        assert list(chosen.rglob("*.nbc"))
+        assert not list(package.rglob("*.nbc"))
+        change(package, "far", "2.0", "3.0")
+        assert run(1)[0][0] == 9.0
 
 
 def test_an_installation_that_cannot_be_written_uses_the_users_cache(package, tmp_path):
     (package / "__pycache__").write_text("no folder can be made here")
-    assert run(package, XDG_CACHE_HOME=str(tmp_path / "home")) == (6.0, False)
-    assert run(package, XDG_CACHE_HOME=str(tmp_path / "home")) == (6.0, True)
-    change(package, "far", "2.0", "3.0")
-    assert run(package, XDG_CACHE_HOME=str(tmp_path / "home"))[0] == 9.0
+    with new_processes(package, XDG_CACHE_HOME=str(tmp_path / "home")) as run:
+        assert run(1) == [(6.0, False)]
+        assert run(1) == [(6.0, True)]
+        change(package, "far", "2.0", "3.0")
+        assert run(1)[0][0] == 9.0
 
 
 def test_processes_at_once_read_no_half_of_a_kernel(at_once):

@@ -251,14 +251,16 @@ def test_every_tuning_model_is_part_of_a_configuration() -> None:
     assert missing == {"SearchLevelConfig"}  # which stands in a tuple, and has its values there
 
 
+class Inner(Tuning):
+    told: int = 1
+
+
+class Outer(Tuning):
+    bare: float = 0.5
+    inner: Inner = Inner()
+
+
 def test_a_value_without_provenance_is_found() -> None:
-    class Inner(Tuning):
-        told: int = 1
-
-    class Outer(Tuning):
-        bare: float = 0.5
-        inner: Inner = Inner()
-
     assert [(value.path, value.provenance) for value in tuning_values(Outer)] == [
         ("bare", None),
         ("inner.told", None),

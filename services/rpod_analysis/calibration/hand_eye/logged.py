@@ -35,7 +35,7 @@ class LoggedPoses:
     """Poses T_chaser_holder."""
     sensor: Sensor
     source: SourceConfig
-    """How the sensor is published, with the correction that the stamps already have."""
+    """How the sensor is published, with the correction that the driver has already applied to the stamps."""
     depth_sigma_m: float
     """Standard deviation of the offset of the sensor's distances before this log, m."""
     filtered: bool

@@ -1,8 +1,9 @@
 """First values of a hand-eye calibration: the clock by the rates of rotation, then mount and holder.
 
-Rates of rotation are the same in both series, whatever mount and holder are, so their correlation gives the
-clock's offset. Relative motions C X = X A then give the mount: rotation vectors by Park and Martin (IEEE
-Trans. Robotics 10(5), 1994), here by ``Rotation.align_vectors``, and the position by linear least squares.
+Mount and holder do not change the rates of rotation, so that the correlation of the rates in both series
+gives the clock's offset. Relative motions C X = X A then give the mount: rotation vectors by Park and Martin
+(IEEE Trans. Robotics 10(5), 1994), here by ``Rotation.align_vectors``, and the position by linear least
+squares.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ _MOST_POSES = 240
 """Number of poses, taken evenly, whose relative motions give the first values."""
 _LEAST_TURN_RAD = np.radians(2.0)
 _SIGMAS = 5.0
-"""A rotation about a second axis is seen if it is this many times the attitudes' noise."""
+"""Rotation about a second axis that counts as measured, in standard deviations of the attitudes' noise."""
 _OUTLIER = 4.0
 """Greatest difference of two motions' angles, in robust standard deviations; Daniilidis 1999, section 6,
 drops motions by the same test."""

@@ -34,13 +34,15 @@ class Batches:
         """Number of trials that are not finished."""
         return len(self._unfinished)
 
-    def take(self, workers: int) -> Batch:
+    def take(self, workers: int, *, idle: bool = True) -> Batch:
         """Return the next batch, empty if all trials are running.
 
         Args:
             workers: number of workers that share the remaining trials.
+            idle: whether the worker has no other batch. A trial whose worker ended is given to an idle worker
+                only: a batch that ends its worker may take the answer of the one before with it.
         """
-        while self._alone:
+        while idle and self._alone:
             task = self._alone.popleft()
             if task in self._unfinished:
                 return (task,)
@@ -52,6 +54,10 @@ class Batches:
             if task in self._unfinished and task not in taken:
                 taken.append(task)
         return tuple(taken)
+
+    def runs_alone(self, batch: Batch) -> bool:
+        """Return whether no other batch may wait behind this one, since a worker ended while it ran."""
+        return any(task in self._ended for task in batch)
 
     def give_back(self, batch: Batch) -> None:
         """Put back a batch that was not run."""

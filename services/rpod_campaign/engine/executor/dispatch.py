@@ -178,8 +178,12 @@ class Dispatch:
         ready = [worker for worker in self._workers.values() if worker.stage is _Stage.READY]
         for _ in range(_WAITING):
             for worker in ready:
-                if len(worker.running) < _WAITING and (batch := self._batches.take(len(ready))):
-                    if not worker.running:
+                idle = not worker.running
+                full = len(worker.running) >= _WAITING or any(
+                    self._batches.runs_alone(batch) for _, batch in worker.running
+                )
+                if not full and (batch := self._batches.take(len(ready), idle=idle)):
+                    if idle:
                         worker.since_s = time.monotonic()
                     numbers = tuple(task.trial for task in batch)
                     future = self._submit(

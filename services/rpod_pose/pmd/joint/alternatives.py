@@ -22,7 +22,7 @@ from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped, turned
 from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.search.even_samples import normal_steps, sobol
+from rpod_pose.search.even_samples import sobol, steps_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
@@ -41,10 +41,9 @@ are then as far away as by their turn alone."""
 EXPECTED_RISE = 3.0
 """Expected rise of minus a true log likelihood from its best pose to one drawn from its covariance. Physics:
 half of the six degrees of freedom."""
-DRAWN = 8
-"""Number of poses that are drawn from a covariance. Numerics: a budget; a mean of eight is within a third."""
-DAMPED = 1e-9
-"""Share of its variances that is added to a covariance before its root. Numerics: rounding."""
+DRAWN_POWER = 3
+"""Two to this power poses are drawn from a covariance. Numerics: a budget; a mean of eight is within a third.
+"""
 ALONE = np.zeros((6, 6))
 """Spread of an alignment without another one beside it."""
 
@@ -147,10 +146,9 @@ def log_likelihoods(found: Sequence[Registration], loss: Callable[[State], float
     best = int(losses.argmin())
     (R, t), bias_m = states[best]
     ray, covariance = t / np.linalg.norm(t), found[best].covariance
-    root = np.linalg.cholesky(covariance + DAMPED * np.diag(np.diag(covariance)))
     drawn = [
         State(PoseArrays(turned(R, R.T @ step[3:]), t + step[:3]), bias_m - float(ray @ step[:3]))
-        for step in normal_steps(int(np.log2(DRAWN))) @ root.T
+        for step in steps_of(covariance, DRAWN_POWER)
     ]
     rises = np.array([loss(state) for state in drawn]) - losses[best]
     found_logs: FloatArray = -losses / max(2.0 * float(np.sqrt((rises**2).mean())) / EXPECTED_RISE, 1.0)

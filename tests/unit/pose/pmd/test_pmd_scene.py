@@ -93,8 +93,8 @@ def test_other_materials_change_the_loss_of_the_amplitude_alone():
     R, t = POSE.rotation.as_matrix(), POSE.translation
     even = scene(ideal().depth_m, shade(200))
     fits = [
-        PmdFitter(PmdModelConfig(), Surface.of(mockup()), even, known_materials=filed).fit(R, t)
-        for filed in (True, False)
+        PmdFitter(PmdModelConfig(), Surface.of(mockup()), even, known_materials=known).fit(R, t)
+        for known in (True, False)
     ]
     assert fits[0].loss > 2.0 * fits[1].loss
     assert fits[1].mean_loss < 0.2
