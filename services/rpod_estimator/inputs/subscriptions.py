@@ -21,6 +21,7 @@ from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.delivery.holders import Holders, Peer, SecondPublisherError
+from rpod_runtime.delivery.kept import KeptMessages
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensor_data.drift_watch import DriftWatch
@@ -70,6 +71,7 @@ class Subscriptions:
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
+        self._kept = KeptMessages(self._holders)
         self._used_with: dict[str, tuple[Peer, Peer]] = {}
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
@@ -148,6 +150,7 @@ class Subscriptions:
         while not self._gone.empty():
             session, topic, is_last, gone_s = self._gone.get()
             self._holders.leave(topic.name, session, last=is_last, now_s=gone_s)
+            self._kept.leave(topic.name, session)
             self.health.refusals.leave(topic.name, session)
             if topic in self._reader.latched:
                 self._reader.leave(session, topic)
@@ -208,9 +211,14 @@ class Subscriptions:
                 assembler.refuse(stamp_ns)
                 raise FrameRefusedError(error.reason, error.text) from error
             raise
-        self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+        if part in assembler.lasting:
+            self._kept.admit(received)
+        else:
+            self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:
             self._note_arrival(sensor, received, stamp_ns)
+            for lasting, kept in self._reader.due(sensor, self._kept, received):
+                self._put(sensor, assembler.add(lasting, stamp_ns, kept))
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
@@ -307,7 +315,8 @@ class Subscriptions:
             leading = frame.parts[self._reader.leading[sensor]]
             for part in frame.parts.values():
                 now_s = arrival_s if self._is_of_its_frames(part, leading) else part.arrival_s
-                self._holders.hold(part.topic.name, part.peer, now_s)
+                if self._kept.may_hold(part):
+                    self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
                 self._tell_mount(sensor, arrived.measurement)
                 if not self._in_lockstep:

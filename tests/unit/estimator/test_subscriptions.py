@@ -632,6 +632,120 @@ def test_the_lens_of_a_successor_that_names_no_session_is_its_own(unnamed):
     assert unnamed.bench.inputs.health.rivals == []
 
 
+THIRD = Peer(b"3" * 16)
+OTHER_LENS = CAMERA.model_copy(update={"fx": 6.0})
+
+
+def send_camera(stage, by, camera=OTHER_LENS):
+    """Let a camera_info come alone."""
+    stage.number += 1
+    message = write_camera(NOW_NS + stage.number * 1_000_000, "c", camera)
+    stage.bench.send(CAMERA_INFO.of("pmd"), message, by=by, arrival_s=stage.now_s)
+    assert stage.bench.arrived() == []
+
+
+def lens(stage, by, *, camera=None, tracked=False):
+    """Let a frame come; return the focal length with which it is used, None where it is not used."""
+    stage.number += 1
+    stamp_ns = NOW_NS + stage.number * 1_000_000
+    stage.bench.inputs.pin(tracked)
+    stage.bench.send_frame(stamp_ns, by=by, camera=camera, arrival_s=stage.now_s, arrival_ns=stamp_ns)
+    found = stage.bench.arrived()
+    return found[0].measurement.data.camera.fx if found and found[0].measurement is not None else None
+
+
+def test_a_camera_info_that_came_once_while_its_topic_was_held_counts_with_its_publishers_frames(unnamed):
+    """As of a driver that is started again at once: its camera_info does not come a second time."""
+    unnamed.wait(1.0)
+    send_camera(unnamed, SECOND)
+    assert lens(unnamed, SECOND) is None, "the publisher before is not silent for 2 s"
+    unnamed.wait(1.5)
+    assert [lens(unnamed, SECOND) for _ in range(30)][-1] == 6.0
+    assert lens(unnamed, SECOND) == 6.0
+    assert unnamed.bench.inputs.health.rivals == []
+
+
+def test_a_kept_camera_info_is_not_used_with_the_frames_of_the_holder(unnamed):
+    send_camera(unnamed, SECOND)
+    used = []
+    for _ in range(10):
+        unnamed.wait(1.0)
+        used.append(lens(unnamed, FIRST))
+    assert set(used[3:]) == {5.0}, "the first ones wait for a camera_info of their own"
+    assert ("pmd/camera_info", "second_publisher") in unnamed.bench.node.refused
+
+
+def test_of_drivers_that_started_one_after_the_other_the_last_ones_camera_info_counts(unnamed):
+    for peer, fx in ((SECOND, 6.0), (THIRD, 7.0)):
+        unnamed.wait(0.5)
+        send_camera(unnamed, peer, CAMERA.model_copy(update={"fx": fx}))
+    unnamed.wait(2.0)
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_the_own_camera_info_of_a_third_driver_goes_before_one_that_was_kept(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    send_camera(unnamed, THIRD, CAMERA.model_copy(update={"fx": 7.0}))
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_a_kept_camera_info_does_not_keep_that_of_a_third_driver_out(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 6.0, "the newest that is known"
+    send_camera(unnamed, THIRD, CAMERA.model_copy(update={"fx": 7.0}))
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_a_kept_camera_info_of_a_publisher_that_is_gone_does_not_count(stage):
+    gone = Peer(b"g" * 16, "g0")
+    send_camera(stage, gone)
+    stage.bench.node.gone(gone.session, CAMERA_INFO.of("pmd"))
+    send_camera(stage, DRIVER, CAMERA.model_copy(update={"fx": 7.0}))
+    stage.wait(2.5)
+    assert [lens(stage, DRIVER) for _ in range(30)][-1] == 7.0
+
+
+def test_another_kept_lens_is_not_used_while_tracked(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    assert [lens(unnamed, SECOND, tracked=True) for _ in range(30)] == [None] * 30
+
+
+def test_what_is_kept_is_bounded(unnamed):
+    for number in range(1000):
+        send_camera(unnamed, Peer(number.to_bytes(16, "big")))
+    assert sum(map(len, unnamed.bench.inputs._kept._kept.values())) <= 8
+
+
+def test_an_info_that_came_once_just_after_the_driver_before_counts_with_its_publishers_scans(monkeypatch):
+    bench, now_s = lidar_bench(), [1000.0]
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+
+    def scan(by):
+        stamp_ns = NOW_NS + round((now_s[0] - 1000.0) * SECOND_NS)
+        fields = {name: values + np.float32(1e-3 * now_s[0]) for name, values in CLOUD.items()}
+        bench.send_scan(stamp_ns, fields, by=by, arrival_ns=stamp_ns, arrival_s=now_s[0])
+        used = [frame.measurement for frame in bench.arrived() if frame.measurement is not None]
+        return used[0].data.azimuth_rad if used else None
+
+    def announce(by, azimuth_rad):
+        info = LidarInfo(
+            azimuth_rad=np.array(azimuth_rad), elevation_rad=np.array([0.0, 0.1]), scan_time_s=0.1,
+            sigma_range_m=0.01,
+        )  # fmt: skip
+        bench.send(LIDAR_INFO.of("lidar"), write_lidar_info(0, "lidar", info), by=by, arrival_s=now_s[0])
+
+    announce(FIRST, [0.0, 0.1, 0.2])
+    np.testing.assert_array_equal(scan(FIRST), [0.0, 0.1, 0.2])
+    now_s[0] += 0.5
+    announce(SECOND, [0.1, 0.3, 0.5])
+    assert scan(SECOND) is None, "the publisher before is not silent for 2 s"
+    now_s[0] += 3.0
+    np.testing.assert_array_equal(scan(SECOND), [0.1, 0.3, 0.5])
+
+
 def test_a_reset_may_name_the_gid_to_keep(stage):
     stage.mount(DRIVER, x_m=1.0)
     assert stage.frame(DRIVER) is None
