@@ -17,6 +17,7 @@ from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.process.lifecycle import Stop
 from rpod_runtime.process.notify import manager
+from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply
@@ -43,7 +44,8 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     keep_freed_memory()
     os.environ.setdefault(*_ZENOH_THREADS)
     extras = Extras(config.bus.keys, config.record_extra)
-    with Node(config, version=version, stop=stop) as node, ExitStack() as stack:
+    sole = Sole(starts_beside=True)
+    with Node(config, version=version, stop=stop, sole=sole) as node, ExitStack() as stack:
         ends = _follow_publishers(node)
         recorder = stack.enter_context(
             Recorder(config, version=version, health=node.health, account=node.account, endings=ends.take)

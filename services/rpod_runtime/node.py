@@ -32,7 +32,7 @@ from rpod_runtime.process.reserve import await_turn
 from rpod_runtime.requests.asker import Asker
 from rpod_runtime.requests.control import Served
 from rpod_runtime.requests.identity import open_identity
-from rpod_runtime.requests.sole import be_sole
+from rpod_runtime.requests.sole import Sole, be_sole
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters, flatten
@@ -62,11 +62,11 @@ _LINGER_S = 0.3
 class Node(Asker):
     """Represents one process on the bus; a process in reserve waits here until its turn has come.
 
-    With ``sole`` it must be the only service of its name, and the only one that publishes these topics.
+    With ``sole`` it must be the only service of its name, and the only one that publishes some topics.
     """
 
     def __init__(
-        self, config: ServiceConfig, *, version: str, stop: Event | None = None, sole: Sequence[Topic] = ()
+        self, config: ServiceConfig, *, version: str, stop: Event | None = None, sole: Sole | None = None
     ) -> None:
         self.config = config
         self.version = version
