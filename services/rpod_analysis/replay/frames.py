@@ -19,7 +19,7 @@ from rpod_schemas.messages import read_status
 from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_schemas.types import EstimatorStatus
 
-_ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.DUPLICATE, Reason.SECOND_PUBLISHER
+_ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.CLOCK_STEP, Reason.DUPLICATE, Reason.SECOND_PUBLISHER
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in _ARRIVALS)
 """Reasons for which a live run refused a frame by its time of arrival, which only that run can know."""
 _PATIENCE_NS = NANOSECONDS

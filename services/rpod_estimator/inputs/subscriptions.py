@@ -28,6 +28,7 @@ from rpod_runtime.sensor_data.drift_watch import DriftWatch
 from rpod_runtime.sensor_data.end_watch import EndWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
+from rpod_runtime.sensor_data.step_watch import StepWatch
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -62,6 +63,10 @@ class Subscriptions:
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         self._drifts = {sensor.name: DriftWatch() for sensor in config.sensors}
         self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
+        self._steps = {
+            sensor.name: StepWatch(config.integrity.clock_sigma_s, sensor.source.arrives_within_s)
+            for sensor in config.sensors
+        }
         self._mounts: set[str] = set()
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
@@ -158,6 +163,8 @@ class Subscriptions:
             keep = self._resets.get()
             self._holders.release(keep=keep, now_s=time.monotonic())
             self._reader.forget(keep=keep)
+            for watch in self._steps.values():
+                watch.forget()
             self.health.refusals.forget()
         for received in self._latched.wait(0.0) + parts:
             try:
@@ -195,14 +202,7 @@ class Subscriptions:
         if leads and not self._in_lockstep:
             self._watch(sensor, stamp_ns, received.arrival_ns)
         try:
-            if part not in assembler.lasting:
-                self._check_freshness(received, stamp_ns)
-            if stamp_ns == assembler.done_ns and part in assembler.required:
-                raise MessageRejectedError(
-                    Reason.DUPLICATE,
-                    f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or "
-                    "gives two frames one stamp",
-                )
+            self._check_part(sensor, part, received, stamp_ns)
         except MessageRejectedError as error:
             if leads:
                 self._note_arrival(sensor, received, stamp_ns)
@@ -223,6 +223,20 @@ class Subscriptions:
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
+
+    def _check_part(self, sensor: str, part: str, received: Received, stamp_ns: int) -> None:
+        """Check the stamp of a part of a frame."""
+        assembler = self._reader.assemblers[sensor]
+        if part not in assembler.lasting:
+            self._check_freshness(received, stamp_ns)
+        if part == self._reader.leading[sensor] and not self._in_lockstep:
+            self._check_step(sensor, received, stamp_ns)
+        if stamp_ns == assembler.done_ns and part in assembler.required:
+            raise MessageRejectedError(
+                Reason.DUPLICATE,
+                f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or gives "
+                "two frames one stamp",
+            )
 
     def _note_arrival(self, sensor: str, received: Received, stamp_ns: int) -> None:
         bus_s = stamp_ns / NANOSECONDS if self._in_lockstep else None
@@ -291,6 +305,19 @@ class Subscriptions:
                 f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
                 f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
+
+    def _check_step(self, sensor: str, received: Received, stamp_ns: int) -> None:
+        """Check that the sensor's clock was not set since the frames before, if its publisher is used."""
+        watch, peer = self._steps[sensor], received.peer
+        try:
+            self._holders.check(received.topic.name, peer, received.arrival_s)
+        except SecondPublisherError:
+            return
+        step = watch.add(stamp_ns, received.arrival_ns, arrival_s=received.arrival_s, source=peer)
+        if watch.ended:
+            log.warning("%s: %s", sensor, watch.ended)
+        if step is not None:
+            raise MessageRejectedError(Reason.CLOCK_STEP, step.told)
 
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
         """Return whether a part is as new as its frame: a part that lasts, of the publisher of the frames.

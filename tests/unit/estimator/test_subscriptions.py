@@ -6,6 +6,7 @@ from time import monotonic
 import numpy as np
 import pytest
 
+from rpod_estimator.inputs.book import Loss
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock, Received, WallClock
@@ -728,7 +729,7 @@ def test_an_info_that_came_once_just_after_the_driver_before_counts_with_its_pub
         fields = {name: values + np.float32(1e-3 * now_s[0]) for name, values in CLOUD.items()}
         bench.send_scan(stamp_ns, fields, by=by, arrival_ns=stamp_ns, arrival_s=now_s[0])
         used = [frame.measurement for frame in bench.arrived() if frame.measurement is not None]
-        return used[0].data.azimuth_rad if used else None
+        return bench.inputs.infos["lidar"].azimuth_rad if used else None
 
     def announce(by, azimuth_rad):
         info = LidarInfo(
@@ -1250,3 +1251,37 @@ def test_a_clock_that_drifts_beyond_what_is_declared_is_told_although_each_frame
     level, message = message_of(bench, how["arrival_s"])
     assert level == Health.WARN
     assert "pmd: its clock runs 400 ppm too slow: its stamps have moved by 32.0 ms in 80 s" in message
+
+
+def test_frames_of_a_clock_that_is_set_back_are_refused_from_the_first_one_on_until_a_reset():
+    bench, start_s = lidar_bench(), monotonic()
+
+    def scan(number, moved_s=0.0):
+        due_ns = NOW_NS + number * SECOND_NS // 10
+        fields = {name: values + np.float32(1e-3 * number) for name, values in CLOUD.items()}
+        when = {"arrival_ns": due_ns + 10_000_000, "arrival_s": start_s + 0.1 * number}
+        bench.send_scan(due_ns + round(moved_s * SECOND_NS), fields, **when)
+        (arrived,) = bench.arrived()
+        return arrived
+
+    assert all(scan(number).measurement is not None for number in range(30))
+    refused = scan(30, -0.35)
+    assert refused.measurement is None
+    assert refused.refused == "clock_step"
+    assert refused.reason.startswith("clock_step: its stamps have moved by -0.350 s against their arrival")
+    bench.inputs.health.books["lidar"].lose(Loss(refused.refused, refused.reason), start_s + 3.0)
+    level, message, _ = told(bench, start_s + 3.0)
+    assert (level, "`reset` the estimator to accept the clock as it is" in message) == (Health.ERROR, True)
+    assert scan(31).measurement is not None
+    assert scan(32, -0.35).measurement is None
+    bench.inputs.request_reset(ResetRequest())
+    assert [scan(number, -0.35).measurement is not None for number in range(36, 60)][-20:] == [True] * 20
+
+
+def test_stamps_of_a_second_publisher_say_nothing_of_the_holders_clock(stage):
+    for number in range(60):
+        stage.number += 99  # 0.1 s
+        stage.wait(0.1)
+        assert stage.frame(EMULATOR) == 0.0, number
+        stage.mount(DRIVER)
+        assert stage.frame(DRIVER) is None
