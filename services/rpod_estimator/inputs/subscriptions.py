@@ -78,6 +78,9 @@ class Subscriptions:
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
         self._kept = KeptMessages(self._holders)
         self._used_with: dict[str, tuple[Peer, Peer]] = {}
+        self._leaders: dict[str, tuple[Peer, float]] = {}
+        """Publisher of each sensor's frames, and when the last one of the publisher before it came."""
+        self._led_s: dict[str, float] = {}
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
         self._published = Published()
@@ -241,6 +244,9 @@ class Subscriptions:
     def _note_arrival(self, sensor: str, received: Received, stamp_ns: int) -> None:
         bus_s = stamp_ns / NANOSECONDS if self._in_lockstep else None
         self.health.books[sensor].note_arrival(received.arrival_s, bus_s)
+        if self._leaders.get(sensor, (None,))[0] != received.peer:
+            self._leaders[sensor] = received.peer, self._led_s.get(sensor, -np.inf)
+        self._led_s[sensor] = received.arrival_s
 
     def report_health(self, mode: Mode) -> None:
         """Write the health of the inputs into the diagnostics, by the time up to which all was processed."""
@@ -322,11 +328,15 @@ class Subscriptions:
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
         """Return whether a part is as new as its frame: a part that lasts, of the publisher of the frames.
 
-        Where sessions are unknown, this is the publisher with whose frames the part was used first.
+        Where sessions are unknown, this is the publisher with whose frames the part was used first, unless it
+        was there while another publisher sent the frames.
         """
         if part.session or leading.session:
             return part.session == leading.session
         name = part.topic.name
+        _, before_s = self._leaders.get(self._reader.parts[name][0], (None, -np.inf))
+        if part.arrival_s <= before_s:
+            return False
         user, frames = self._used_with.get(name, (None, None))
         if user != part.peer:
             frames = leading.peer

@@ -633,6 +633,23 @@ def test_the_lens_of_a_successor_that_names_no_session_is_its_own(unnamed):
     assert unnamed.bench.inputs.health.rivals == []
 
 
+def test_a_first_frame_that_overtakes_its_camera_info_does_not_bind_that_of_the_driver_before(unnamed):
+    """The driver before had no mount, so that none of its frames was used."""
+    unnamed.wait(2.5)
+    for _ in range(3):
+        unnamed.wait(0.1)
+        unnamed.bench.send_frame(
+            NOW_NS + unnamed.number * 1_000_000 + 1, by=SECOND, frame_id="nowhere", arrival_s=unnamed.now_s
+        )
+        unnamed.number += 1
+        assert unnamed.bench.arrived()[0].refused == "unknown_frame"
+    unnamed.wait(2.5)
+    [lens(unnamed, THIRD) for _ in range(3)]
+    used = [lens(unnamed, THIRD, camera=OTHER_LENS) for _ in range(30)]
+    assert used[-1] == 6.0
+    assert ("pmd/camera_info", "second_publisher") not in unnamed.bench.node.refused
+
+
 THIRD = Peer(b"3" * 16)
 OTHER_LENS = CAMERA.model_copy(update={"fx": 6.0})
 
@@ -811,7 +828,10 @@ def test_images_that_do_not_fit_their_camera_are_counted_as_of_the_wrong_size():
     bench.send(AMPLITUDE.of("pmd"), image(np.ones((4, 6), np.uint16), "mono16"))
     bench.send(CAMERA_INFO.of("pmd"), wrong_camera())
     (arrived,) = bench.arrived()
-    assert arrived.reason == "wrong_size: image is 6 x 4 pixels, camera_info says 7 x 4; correct the driver"
+    assert arrived.reason == (
+        "wrong_size: the depth image is 6 x 4 pixels, camera_info says 7 x 4; let its driver send the "
+        "camera_info of the depth image, as it is scaled or cropped"
+    )
 
 
 @pytest.mark.parametrize("kept", [0, 3, 11])
