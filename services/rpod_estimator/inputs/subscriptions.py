@@ -85,6 +85,7 @@ class Subscriptions:
         self._lock = Lock()
         self._published = Published()
         node.watch_publishers(self._leave, self._published.came)
+        self._published.watch(node)
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         node.subscribe(DIAGNOSTICS, self._latched.put)

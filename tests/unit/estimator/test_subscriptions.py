@@ -2,9 +2,11 @@
 
 from threading import Thread
 from time import monotonic
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from zenoh import SampleKind
 
 from rpod_estimator.inputs.book import Loss
 from rpod_estimator.inputs.subscriptions import Subscriptions
@@ -15,6 +17,7 @@ from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.stamp_watch import StampWatch
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.service import BusConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import (
@@ -69,6 +72,7 @@ class FakeNode:
     def __init__(self, time_source):
         self.health = HealthBook("estimator")
         self.sinks, self.recovered, self.past = {}, {}, {}
+        self.config = SimpleNamespace(bus=BusConfig())
         self.clock = BusClock() if time_source == "clock" else WallClock()
         self.refused = []
 
@@ -79,6 +83,9 @@ class FakeNode:
 
     def watch_publishers(self, gone, came):
         self.gone, self.came = gone, came
+
+    def watch_tokens(self, _, take):
+        self.hears = take
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -1178,6 +1185,12 @@ def test_a_sensor_that_never_sends_is_told_with_what_is_awaited_and_what_is_publ
     bench.node.gone("one", other)
     bench.node.gone("one", DEPTH.of("pmd"))
     assert "no sensor's topic is published" in said()
+    endpoint = "MP/%/%/cam/%cam%depth%image_raw/sensor_msgs::msg::dds_::Image_/RIHS01_0/::,1:,:,:,,"
+    key = f"@ros2_lv/7/5e55/0/2/{endpoint}"
+    bench.node.hears(SimpleNamespace(key_expr=key, kind=SampleKind.PUT))
+    assert "/cam/depth/image_raw is published in ROS domain 7: give driver and estimator the same" in said()
+    bench.node.hears(SimpleNamespace(key_expr=key, kind=SampleKind.DELETE))
+    assert "ROS domain" not in said()
     bench.send_frame(NOW_NS)
     assert "awaited" not in said()
 
