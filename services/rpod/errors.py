@@ -31,8 +31,9 @@ class FailedServiceError(RunError):
 
     def __init__(self, name: str, log: Path) -> None:
         lines = log.read_text("utf-8", errors="replace").splitlines() if log.is_file() else []
-        told = next((line for line in reversed(lines) if " ERROR " in line), "it does not say why")
-        super().__init__(f"service {name} cannot do its work: {told.split(' ERROR ')[-1].strip()}; see {log}")
+        first = next((line for line in lines if " ERROR " in line), "it does not say why")
+        told = first.split(" ERROR ")[-1].strip().removeprefix(f"{name}: ")
+        super().__init__(f"service {name} cannot do its work: {told}; see {log}")
 
 
 class InterruptedRunError(RunError):

@@ -84,7 +84,7 @@ def looping(rng, period_s):
     "stamps", [even, losing, changing, triggered, looping], ids=lambda each: each.__name__
 )
 def test_no_frame_of_a_right_clock_is_refused(stamps, network, rate_hz):
-    for seed in range(4):
+    for seed in range(2):
         rng, one = np.random.default_rng(seed), watch()
         stamps_s = stamps(rng, 1.0 / rate_hz)
         arrivals_s = in_order(network(rng, stamps_s))
@@ -100,7 +100,7 @@ def verdicts(stamps_s, arrivals_s):
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("moved_s", [-0.9, -0.41, 0.047])
 def test_a_clock_that_is_set_is_refused_from_the_first_frame_on_until_it_is_right_again(moved_s, rate_hz):
-    for seed in range(4):
+    for seed in range(2):
         rng, is_set = np.random.default_rng(seed), (np.arange(FRAMES) >= 100) & (np.arange(FRAMES) < 200)
         times_s = even(rng, 1.0 / rate_hz)
         arrivals_s = in_order(jitter(rng, times_s))
@@ -109,7 +109,7 @@ def test_a_clock_that_is_set_is_refused_from_the_first_frame_on_until_it_is_righ
 
 @pytest.mark.parametrize("rate_hz", [1.0, 8.0])
 def test_a_clock_that_is_set_back_is_seen_on_a_loaded_machine_in_the_first_frame_that_does_not_wait(rate_hz):
-    for seed in range(4):
+    for seed in range(2):
         rng, is_set = np.random.default_rng(seed), np.arange(FRAMES) >= 100
         times_s = even(rng, 1.0 / rate_hz)
         arrivals_s = in_order(loaded(rng, times_s))
