@@ -48,6 +48,7 @@ class Reason(StrEnum):
     JUMP = "sequence_jump"
     LATE = "late"
     FUTURE = "future"
+    CLOCK_STEP = "clock_step"
     UNKNOWN_FRAME = "unknown_frame"
     OTHER_CAMERA = "other_camera"
     OTHER_SETUP = "other_setup"

@@ -26,6 +26,16 @@ class NotReadyError(RunError):
         super().__init__(f"service {name} is not ready after {waited_s:.0f} s; see {log}")
 
 
+class FailedServiceError(RunError):
+    """A service runs and cannot do its work."""
+
+    def __init__(self, name: str, log: Path) -> None:
+        lines = log.read_text("utf-8", errors="replace").splitlines() if log.is_file() else []
+        first = next((line for line in lines if " ERROR " in line), "it does not say why")
+        told = first.split(" ERROR ")[-1].strip().removeprefix(f"{name}: ")
+        super().__init__(f"service {name} cannot do its work: {told}; see {log}")
+
+
 class InterruptedRunError(RunError):
     """The operator ended the run."""
 

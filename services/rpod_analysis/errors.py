@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rpod_schemas.errors import RpodError
+from rpod_schemas.logs import Recovery
 
 
 class AnalysisError(RpodError):
@@ -22,6 +23,23 @@ class NotMcapError(AnalysisError):
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: is not an MCAP log")
+
+
+class NothingRecoveredError(AnalysisError):
+    """A damaged log holds no message that can be recovered."""
+
+    def __init__(self, recovery: Recovery) -> None:
+        self.recovery = recovery
+        orphans = f"; {recovery.without_definition} messages lack the definition of their channel"
+        limit = (
+            f"; {recovery.chunks_over_limit} chunks announce too many bytes and were not read: if you trust "
+            "the file, repeat with --no-limits"
+        )
+        super().__init__(
+            f"{recovery.source}: no message can be recovered of its {recovery.size_bytes} bytes, of which "
+            f"{recovery.unreadable_bytes} could not be read; no log is written"
+            f"{orphans if recovery.without_definition else ''}{limit if recovery.chunks_over_limit else ''}"
+        )
 
 
 class TruncatedLogError(AnalysisError):

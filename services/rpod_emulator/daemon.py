@@ -20,6 +20,7 @@ from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.process.notify import manager
+from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
@@ -44,7 +45,7 @@ def run(config: EmulatorConfig, *, version: str, stop: Event) -> None:
     """Emulate until stopped."""
     target = load_target(config.target)
     rehearse(config, target)
-    with Node(config, version=version, stop=stop) as node:
+    with Node(config, version=version, stop=stop, sole=Sole()) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         joints = MovingJoints(config, target)
         faults = Faults.of(config)

@@ -17,6 +17,7 @@ from rpod_estimator.validity import Beacon, Validity
 from rpod_pose.navigation.state import Output
 from rpod_runtime import Node
 from rpod_runtime.process.notify import manager
+from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
@@ -55,7 +56,7 @@ def _serve(
     version: str,
     stop: Event,
 ) -> None:
-    with Node(config, version=version, stop=stop, sole=[STATUS.under(config.prefix)]) as node:
+    with Node(config, version=version, stop=stop, sole=Sole((STATUS.under(config.prefix),))) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)

@@ -16,6 +16,7 @@ from rpod_pose.pmd.camera_check import CameraCheck
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.delivery.holders import Announcements, Peer
+from rpod_runtime.delivery.kept import KeptMessages
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.frames import PartRejectedError, SensorReader, assembler_of, open_reader
 from rpod_runtime.sensor_data.end_watch import Last, last_of
@@ -168,6 +169,13 @@ class FrameReader:
         """Return whether the messages of a stream are valid until another comes, whatever their age."""
         sensor, part = self.parts[topic.name]
         return part in self.assemblers[sensor].lasting
+
+    def due(self, sensor: str, kept: KeptMessages, leading: Received) -> Iterator[tuple[str, Received]]:
+        """Yield kept messages that count from a frame of a sensor on, each with the name of its part."""
+        for topic, (owner, part) in self.parts.items():
+            lasts = owner == sensor and part in self.assemblers[sensor].lasting
+            if lasts and (message := kept.due(topic, leading)) is not None:
+                yield part, message
 
     def stamp_ns(self, sensor: str, received: Received) -> int:
         """Return the middle of exposure or scan of a part, ns of UTC. Raises ``MessageRejectedError``."""

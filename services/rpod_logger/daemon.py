@@ -2,11 +2,11 @@
 
 import os
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from threading import Event
 
-from rpod_logger.errors import CannotWriteError
+from rpod_logger.errors import BY_ITSELF, AlreadyRecordingError, CannotWriteError
 from rpod_logger.memory import keep_freed_memory
 from rpod_logger.publisher_ends import PublisherEnds
 from rpod_logger.recorder import Recorder
@@ -17,6 +17,7 @@ from rpod_runtime.fault_book import FaultBook
 from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.process.lifecycle import Stop
 from rpod_runtime.process.notify import manager
+from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply
@@ -25,6 +26,8 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 _TICK_S = 0.25
+_RETRY_S = 5.0
+"""Time between two attempts to begin the first log."""
 _CLOSE_S = 3.0
 """Longest time, s, for which the close of a file waits for answers, and then for the messages that are
 missing by these answers."""
@@ -41,21 +44,24 @@ def run(config: LoggerConfig, *, version: str, stop: Event) -> None:
     keep_freed_memory()
     os.environ.setdefault(*_ZENOH_THREADS)
     extras = Extras(config.bus.keys, config.record_extra)
-    with Node(config, version=version, stop=stop) as node, ExitStack() as stack:
+    sole = Sole(starts_beside=True)
+    with Node(config, version=version, stop=stop, sole=sole) as node, ExitStack() as stack:
         ends = _follow_publishers(node)
         recorder = stack.enter_context(
             Recorder(config, version=version, health=node.health, account=node.account, endings=ends.take)
         )
         services = Services(node, recorder, ends)
         recorder.know([node.status()])
-        doing = _begin(recorder)
+        readiness = _Readiness(node, recorder)
+        readiness.begin()
         node.health.watch(recorder.check)
         _subscribe(node, recorder, services, extras)
         _serve(node, recorder, services)
-        node.ready(doing)
+        readiness.update()
         while not stop.wait(_TICK_S):
             manager.alive()
             recorder.log_losses()
+            readiness.update()
             services.ask_new()
             ends.decide(time.monotonic())
         services.conclude()
@@ -76,12 +82,36 @@ def _follow_publishers(node: Node) -> PublisherEnds:
     return ends
 
 
-def _begin(recorder: Recorder) -> str:
-    """Start a log, return a text; if the disk refuses, messages count as lost until a ``start`` query."""
-    try:
-        return f"recording to {recorder.start().path}"
-    except CannotWriteError:  # logged, and in the diagnostics
-        return "not recording"
+class _Readiness:
+    """Makes the service ready when it records, and tells the manager when the disk refuses the log.
+
+    Where the first log cannot be written, the service is not ready, counts all messages as lost, and tries
+    again until it can, or until a ``start`` query has opened a log.
+    """
+
+    def __init__(self, node: Node, recorder: Recorder) -> None:
+        self._node, self._recorder = node, recorder
+        self._failure, self._ready, self._next_s = "", False, 0.0
+
+    def begin(self) -> None:
+        """Try to open the first log."""
+        self._next_s = time.monotonic() + _RETRY_S
+        with suppress(CannotWriteError, AlreadyRecordingError):  # told by ``update``; a query was quicker
+            self._recorder.start(again=BY_ITSELF)
+
+    def update(self) -> None:
+        """Try again if that is due, and tell what has changed."""
+        if not self._ready and not self._recorder.is_recording and time.monotonic() >= self._next_s:
+            self.begin()
+        if not self._ready and self._recorder.is_recording:
+            self._ready, self._failure = True, ""
+            self._node.ready(f"recording to {self._recorder.path}")
+        if (failure := self._recorder.failure) != self._failure:
+            self._failure = failure
+            doing = failure or f"recording to {self._recorder.path}"
+            manager.works(doing, at_work=not failure)
+            if not self._ready:
+                self._node.state = "failed"
 
 
 class Services:

@@ -12,8 +12,12 @@ _REMEDIES = {
     errno.EROFS: "make the directory writable",
     errno.EACCES: "make the directory writable",
     errno.EPERM: "make the directory writable",
+    errno.EEXIST: "set directory to a folder, or move that file away",
+    errno.ENOTDIR: "set directory to a folder, or move that file away",
 }
 _REMEDY = "check the disk and its mount"
+BY_QUERY = "use start to record again"
+BY_ITSELF = "the logger begins by itself"
 
 
 class LoggerError(RefusedError):
@@ -41,9 +45,12 @@ class CannotWriteError(LoggerError):
         path: the file.
         error: the error of the system.
         closed: whether the file could still be closed; None if there is no file.
+        again: what begins the next recording.
     """
 
-    def __init__(self, path: Path, error: Exception, *, closed: bool | None = None) -> None:
+    def __init__(
+        self, path: Path, error: Exception, *, closed: bool | None = None, again: str = BY_QUERY
+    ) -> None:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         remedy = _REMEDIES.get(error.errno or 0, _REMEDY) if isinstance(error, OSError) else _REMEDY
         became = {
@@ -51,4 +58,4 @@ class CannotWriteError(LoggerError):
             False: "; the file could not be closed: 'rpod recover' makes it readable",
             None: "",
         }[closed]
-        super().__init__(f"cannot write {path}: {reason}{became}; {remedy}, then use start to record again")
+        super().__init__(f"cannot write {path}: {reason}{became}; {remedy}, then {again}")

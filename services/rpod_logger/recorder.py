@@ -16,7 +16,13 @@ from typing import Self
 from pydantic import BaseModel
 
 from rpod_logger.backlog import Backlog, Command
-from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, LoggerError, NotRecordingError
+from rpod_logger.errors import (
+    BY_QUERY,
+    AlreadyRecordingError,
+    CannotWriteError,
+    LoggerError,
+    NotRecordingError,
+)
 from rpod_logger.publisher_ends import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log, signing_key
@@ -101,9 +107,12 @@ class Recorder:
         statuses = list(services)
         self._backlog.command(lambda _: self._know(statuses))
 
-    def start(self, name: str | None = None) -> LogReply:
-        """Open a log, under the last name if none is given. Raises ``LoggerError``."""
-        return self._do(lambda received: self._open(name, received))
+    def start(self, name: str | None = None, *, again: str = BY_QUERY) -> LogReply:
+        """Open a log, under the last name if none is given. Raises ``LoggerError``.
+
+        ``again`` is what begins a recording after this one could not begin, for the operator.
+        """
+        return self._do(lambda received: self._open(name, received, again=again))
 
     def stop(self) -> LogReply:
         """Close the log. Raises ``LoggerError`` if none is open."""
@@ -116,6 +125,22 @@ class Recorder:
     def fill_disk(self, duration_s: float) -> None:
         """Treat the disk as full for a time, s: an injected fault."""
         self._full_until_s = time.monotonic() + duration_s
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether a log is open."""
+        return self._recording is not None
+
+    @property
+    def path(self) -> str:
+        """Path of the open log; empty if there is none."""
+        recording = self._recording
+        return "" if recording is None else str(recording.file.path.resolve())
+
+    @property
+    def failure(self) -> str:
+        """Why nothing is recorded although it should be; empty if nothing failed."""
+        return str(self._failure) if self._failure and self._recording is None else ""
 
     def check(self) -> tuple[Health, str]:
         """Return the health: ERROR until the process ends if a message was ever lost or missed."""
@@ -240,7 +265,14 @@ class Recorder:
 
     # --- files ---
 
-    def _open(self, name: str | None, received: Counter[str], *, continues: str | None = None) -> LogReply:
+    def _open(
+        self,
+        name: str | None,
+        received: Counter[str],
+        *,
+        continues: str | None = None,
+        again: str = BY_QUERY,
+    ) -> LogReply:
         if self._recording is not None:
             raise AlreadyRecordingError(self._recording.file.path)
         stem, config = name or self._stem, self._config
@@ -257,7 +289,8 @@ class Recorder:
         try:
             file = create_log(config.directory, stem, settings)
         except OSError as error:
-            raise self._fail(CannotWriteError(config.directory / f"{stem}.mcap", error)) from error
+            failure = CannotWriteError(config.directory / f"{stem}.mcap", error, again=again)
+            raise self._fail(failure) from error
         self._stem, self._failure = stem, None
         if continues is None:
             self._endings(time.time_ns())  # what ended before is no matter of this file
@@ -340,8 +373,9 @@ class Recorder:
 
     def _fail(self, failure: CannotWriteError) -> CannotWriteError:
         """Report the failure; messages that arrive from now on are counted as lost."""
+        if self._failure is None or str(failure) != str(self._failure):
+            log.error("%s", failure)
         self._failure = failure
-        log.error("%s", failure)
         self._health.report(Health.ERROR, str(failure))
         return failure
 

@@ -14,12 +14,14 @@ from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.process.notify import manager
+from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import trigger
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.control import Accepted, StartRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Health
 from rpod_target import load_target
 
@@ -54,7 +56,7 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         )
     except MotionError as error:
         raise ConfigurationError(config.instance, "motion", str(error)) from error
-    with Node(config, version=version, stop=stop) as node:
+    with Node(config, version=version, stop=stop, sole=Sole((TRUTH,))) as node:
         epoch_ns = _epoch(node, config)
         if epoch_ns is None:
             return

@@ -31,8 +31,8 @@ class AlreadyRunningError(BusError):
     def __init__(self, instance: str, uptime_s: float) -> None:
         super().__init__(
             f"another {instance!r} is at work on this bus, for {uptime_s:.0f} s: two would answer the same "
-            "queries and publish the same topics; stop it, or give this one another instance, prefix and "
-            "zenoh_id"
+            "queries and publish the same topics; stop it, or give this one another instance (an estimator: "
+            "another prefix and zenoh_id, too)"
         )
 
 

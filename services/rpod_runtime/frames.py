@@ -110,14 +110,16 @@ class PmdReader:
             frame.parts["depth"],
             lambda message: (
                 read_text("frame_id", message.header.frame_id),
-                sized(read_depth(_plain(message), self._source.depth_unit_m), size),
+                sized("depth", read_depth(_plain(message), self._source.depth_unit_m), size),
             ),
         )
         if self._source.depth == "radial":
             depth_m = self._along_boresight(frame.parts["camera_info"], camera, depth_m)
         amplitude = saturated = None
         if sent := frame.parts.get("amplitude"):
-            amplitude = read_part(sent, lambda message: sized(read_amplitude(_plain(message)), size))
+            amplitude = read_part(
+                sent, lambda message: sized("amplitude", read_amplitude(_plain(message)), size)
+            )
             saturated = saturated_pixels(amplitude, self._source.saturated_amplitude)
         if saturated is not None:
             depth_m = np.where(saturated, np.float32(np.nan), depth_m)
@@ -324,13 +326,23 @@ def read_part(received: Received, read: Callable[[Any], ReadT]) -> ReadT:
         raise PartRejectedError(received, error) from error
 
 
-def sized(image: Any, size: tuple[int, int]) -> Any:
+_OTHER_SIZE = {
+    "depth": "let its driver send the camera_info of the depth image, as it is scaled or cropped",
+    "amplitude": (
+        "let its driver send one of the size of the depth image, pixel for pixel, or leave amplitude out of "
+        "source.topics"
+    ),
+}
+"""What to do about an image of another size."""
+
+
+def sized(name: str, image: Any, size: tuple[int, int]) -> Any:
     """Return the image if its shape is ``size``, (height, width); else raise ``MessageRejectedError``."""
     if image.shape != size:
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
-            f"image is {image.shape[1]} x {image.shape[0]} pixels, camera_info says {size[1]} x {size[0]}; "
-            "correct the driver",
+            f"the {name} image is {image.shape[1]} x {image.shape[0]} pixels, camera_info says "
+            f"{size[1]} x {size[0]}; {_OTHER_SIZE[name]}",
         )
     return image
 

@@ -32,7 +32,7 @@ from rpod_runtime.process.reserve import await_turn
 from rpod_runtime.requests.asker import Asker
 from rpod_runtime.requests.control import Served
 from rpod_runtime.requests.identity import open_identity
-from rpod_runtime.requests.sole import be_sole
+from rpod_runtime.requests.sole import Sole, be_sole
 from rpod_runtime.ros import Form, RosGraph, trigger
 from rpod_runtime.ros.offers import offer_watch
 from rpod_runtime.ros.parameters import Parameters, flatten
@@ -62,11 +62,11 @@ _LINGER_S = 0.3
 class Node(Asker):
     """Represents one process on the bus; a process in reserve waits here until its turn has come.
 
-    With ``sole`` it must be the only service of its name, and the only one that publishes these topics.
+    With ``sole`` it must be the only service of its name, and the only one that publishes some topics.
     """
 
     def __init__(
-        self, config: ServiceConfig, *, version: str, stop: Event | None = None, sole: Sequence[Topic] = ()
+        self, config: ServiceConfig, *, version: str, stop: Event | None = None, sole: Sole | None = None
     ) -> None:
         self.config = config
         self.version = version
@@ -162,10 +162,7 @@ class Node(Asker):
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
         if topic.latched:
             tell = offer_watch(topic, self.health.warn)
-            watcher = self._session.liveliness().declare_subscriber(
-                publisher_tokens(self._keys, topic), lambda token: tell(str(token.key_expr)), history=True
-            )
-            self._stack.callback(watcher.undeclare)
+            self.watch_tokens(publisher_tokens(self._keys, topic), lambda token: tell(str(token.key_expr)))
 
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
@@ -186,10 +183,7 @@ class Node(Asker):
             shown.add(topic)
             self._token(self._graph.endpoint_token("MS", self._entity(), topic))
 
-        watcher = self._session.liveliness().declare_subscriber(
-            publisher_tokens(self._keys), show, history=True
-        )
-        self._stack.callback(watcher.undeclare)
+        self.watch_tokens(publisher_tokens(self._keys), show)
 
     def watch_publishers(
         self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
@@ -203,9 +197,16 @@ class Node(Asker):
             if tell is not None and topic is not None:
                 tell(session_of_token(key), topic)
 
-        watcher = self._session.liveliness().declare_subscriber(
-            publisher_tokens(self._keys), take, history=came is not None
-        )
+        self.watch_tokens(publisher_tokens(self._keys), take, history=came is not None)
+
+    def watch_tokens(
+        self, pattern: str, take: Callable[[zenoh.Sample], None], *, history: bool = True
+    ) -> None:
+        """Call ``take`` in the bus's thread with each liveliness token that comes or vanishes.
+
+        With ``history`` it is called at once for the tokens that are there.
+        """
+        watcher = self._session.liveliness().declare_subscriber(pattern, take, history=history)
         self._stack.callback(watcher.undeclare)
 
     def watch_publisher_qos(self, tell: Callable[[tuple[str, str, str]], None]) -> None:
@@ -220,10 +221,7 @@ class Node(Asker):
             if token.kind == zenoh.SampleKind.PUT and topic is not None:
                 tell((topic.name, qos_of_token(key), session_of_token(key)))
 
-        watcher = self._session.liveliness().declare_subscriber(
-            publisher_tokens(self._keys), take, history=True
-        )
-        self._stack.callback(watcher.undeclare)
+        self.watch_tokens(publisher_tokens(self._keys), take)
 
     def _subscribe(
         self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool

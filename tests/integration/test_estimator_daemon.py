@@ -23,7 +23,7 @@ from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import Accepted, Empty, ResetRequest, StatusReply
 from rpod_schemas.messages import read_diagnostics, read_odometry, read_status, read_transforms
 from rpod_schemas.poses import make_pose
-from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF
+from rpod_schemas.topics import DEPTH, DIAGNOSTICS, ESTIMATE, STATUS, TF
 from rpod_schemas.types import Camera, Health, Mode
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
@@ -255,6 +255,15 @@ def test_a_second_estimator_of_the_name_does_not_start_and_one_with_the_same_top
         assert told_by_estimator(listener, lambda item: "second_service" not in item.values)
     with daemon(run, config(bus, zenoh_id="e57a7e")):  # a successor starts
         assert told_by_estimator(listener, lambda item: item.level == Health.OK)
+
+
+def test_a_driver_in_another_ros_domain_is_told_with_its_domain(bus):
+    listener, elsewhere = Listener(bus), bus.config.model_copy(update={"domain": 7})
+    other = ServiceConfig(instance="driver", bus=elsewhere)
+    with Node(other, version="test", stop=Event()) as driver, daemon(run, config(bus)):
+        driver.publisher(DEPTH.of("front"))
+        told = told_by_estimator(listener, lambda item: "ROS domain" in item.message)
+    assert "/front/depth/image_raw is published in ROS domain 7: give driver and estimator" in told.message
 
 
 def test_what_is_passed_over_is_counted_and_has_no_status(bus):

@@ -57,7 +57,7 @@ def logger(config: LoggerConfig):
         raise failures[0]
 
 
-def status_with(node, **least: int) -> StatusReply:
+def status_with(node, state="ready", **least: int) -> StatusReply:
     """Return the logger's status once its counters have reached what is asked for."""
     deadline_s = monotonic() + TIMEOUT_S
     counters: dict[str, int] = {}
@@ -67,7 +67,7 @@ def status_with(node, **least: int) -> StatusReply:
         except QueryFailedError:
             continue
         counters = status.counters
-        if status.state == "ready" and all(counters.get(name, 0) >= count for name, count in least.items()):
+        if status.state == state and all(counters.get(name, 0) >= count for name, count in least.items()):
             return status
         node.stop.wait(0.02)
     raise AssertionError(f"the logger did not reach {least}: {counters}")
@@ -227,10 +227,10 @@ def test_a_logger_that_cannot_write_lives_on_says_so_and_is_started_by_query(bus
     blocker = tmp_path / "file"
     blocker.touch()
     with logger(LoggerConfig(bus=bus.config, directory=blocker / "logs", name="run")):
-        status_with(node)
+        status_with(node, "failed")
         clock = node.publisher(CLOCK)
         clock.publish(write_clock(1))
-        status_with(node, **{"lost/clock": 1})
+        status_with(node, "failed", **{"lost/clock": 1})
         said = first(inbox, lambda received: unhealthy(received.decode()))
         with pytest.raises(QueryFailedError, match="Not a directory"):
             node.ask("logger", "start", LogReply)
@@ -238,8 +238,21 @@ def test_a_logger_that_cannot_write_lives_on_says_so_and_is_started_by_query(bus
         started = node.ask("logger", "start", LogReply)
         clock.publish(write_clock(2))
         status_with(node, **{"written/clock": 1})
-    assert "check the disk and its mount, then use start to record again" in said
+    assert "set directory to a folder, or move that file away, then the logger begins by itself" in said
     assert sequences(Path(started.path), "/clock") == [2]
+
+
+def test_a_logger_begins_by_itself_once_its_folder_can_be_written(bus, tmp_path, monkeypatch):
+    monkeypatch.setattr("rpod_logger.daemon._RETRY_S", 0.2)
+    node, blocker = bus.node("publisher"), tmp_path / "file"
+    blocker.touch()
+    with logger(LoggerConfig(bus=bus.config, directory=blocker / "logs", name="run")):
+        status_with(node, "failed")
+        blocker.unlink()
+        status_with(node)
+        node.publisher(CLOCK).publish(write_clock(2))
+        status_with(node, **{"written/clock": 1})
+    assert sequences(blocker / "logs" / "run.mcap", "/clock") == [1]
 
 
 def unhealthy(message) -> str:

@@ -174,3 +174,24 @@ def test_a_service_that_cannot_work_waits_longer_each_time_and_a_refused_one_is_
     facility.said.wait_for(r"estimator: its configuration is refused; correct it: .*none")
     assert facility.service("estimator", "refused")["restarts"] == 0
     assert facility.ask("ps")[0] == 1
+
+
+def test_a_logger_that_cannot_write_is_failing_and_says_why_and_what_to_do(up, tmp_path):
+    folder = tmp_path / "logs"
+    folder.touch()
+    facility = up(
+        {"router": {"verb": "router"}, "logger": {"verb": "logger", "config": {"directory": str(folder)}}}
+    )
+    failing = facility.service("logger", "failing")
+    assert f"cannot write {folder}/rpod-" in failing["message"]
+    assert "File exists; set directory to a folder, or move that file away" in failing["message"]
+    facility.said.wait_for(r"logger: cannot write .*set directory to a folder")
+    assert facility.ask("ps")[0] == 1
+    folder.unlink()
+    at_work = facility.service("logger")
+    assert at_work["message"].startswith(f"recording to {folder}/rpod-")
+    assert at_work["pid"] == failing["pid"]
+    (log,) = folder.glob("*.mcap")
+    log.unlink()
+    assert "the file has vanished from its directory" in facility.service("logger", "failing")["message"]
+    assert facility.ask("ps")[0] == 1

@@ -12,6 +12,7 @@ import pytest
 from rpod_runtime.delivery.accounting import Jump
 from rpod_runtime.delivery.holders import Peer
 from rpod_schemas.errors import MessageRejectedError, Reason, RpodError
+from rpod_schemas.logs import Recovery
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = [
@@ -38,6 +39,17 @@ FACTS = {
     "Jump": Jump("0/pmd/info", b"\x01" * 16, 7, 7 + 2**40),
     "Role": "tracking",
     "tuple[str, ...]": ("one", "two"),
+    "Recovery": Recovery(
+        source="a",
+        out="b",
+        size_bytes=20,
+        unreadable_bytes=12,
+        damaged_places=1,
+        closed=False,
+        messages=0,
+        without_definition=0,
+        topics={},
+    ),
     "Received": type("Received", (), {"topic": type("Topic", (), {"name": "pmd/depth/image_raw"})}),
 }
 """A value of each type that errors are made of, by its annotation."""

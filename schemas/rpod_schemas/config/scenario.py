@@ -100,6 +100,11 @@ class Scenario(Config):
             if fault.service not in (None, *_MAY_FAIL[fault.kind.subject]):
                 known = ", ".join(_MAY_FAIL[fault.kind.subject])
                 raise ValueError(f"faults: {fault.fault} of {fault.service!r}, needs one of {known}")
+            if fault.start_s >= self.duration_s:
+                raise ValueError(
+                    f"faults: {fault.fault} has start_s {fault.start_s:g}, and the scenario's duration_s is "
+                    f"{self.duration_s:g}: begin it earlier, or let the scenario last longer"
+                )
         for sensor in self.estimator.sensors:
             if (sensor.kind, sensor.name) not in emulated:
                 raise ValueError(

@@ -1,5 +1,6 @@
 """Faults by name, and faults that are planned for a time."""
 
+from difflib import get_close_matches
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -22,7 +23,9 @@ def known_fault(name: str) -> Fault:
         SchemaError: there is none of this name.
     """
     if name not in BY_NAME:
-        raise SchemaError(f"no fault {name!r}; known are {', '.join(BY_NAME)}")
+        meant = get_close_matches(name.lower(), BY_NAME, n=1)
+        guess = f"; did you mean {meant[0]}?" if meant else ""
+        raise SchemaError(f"no fault {name!r}{guess}; known are {', '.join(BY_NAME)}")
     return BY_NAME[name]
 
 

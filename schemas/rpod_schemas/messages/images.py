@@ -68,15 +68,21 @@ def _wrong_size(message: Any, row: int) -> str:
     )
 
 
+_LARGEST = 65535
+"""Largest value of a pixel of 16 bits."""
+
+
 def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]:
     """Return depth, m, float32, of a ``32FC1`` image in metres, or of ``16UC1`` or ``mono16`` in millimetres.
 
-    Where a driver has another unit, ``unit_m`` is its length. Pixels without depth are NaN. An image without
-    any finite pixel is rejected.
+    Where a driver has another unit, ``unit_m`` is its length. Pixels without depth are NaN: 0, and 65535, by
+    which drivers tell that there is no return, or that it is farther than they can tell. An image without any
+    finite pixel is rejected.
     """
     image = read_image(message)
     if message.encoding in ("16UC1", "mono16"):
-        image = np.where(image > 0, image.astype(np.float32) * np.float32(unit_m or 1e-3), np.float32(np.nan))
+        measured = (image > 0) & (image < _LARGEST)
+        image = np.where(measured, image.astype(np.float32) * np.float32(unit_m or 1e-3), np.float32(np.nan))
     elif message.encoding != "32FC1":
         raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
     elif unit_m is not None:

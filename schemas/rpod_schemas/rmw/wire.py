@@ -111,6 +111,21 @@ def publisher_tokens(namespace: Namespace, topic: Topic | None = None) -> str:
     return f"@ros2_lv/{namespace.domain}/*/*/*/MP/*/*/*/{endpoint}/*/*"
 
 
+EVERY_PUBLISHER = "@ros2_lv/*/*/*/*/MP/*/*/*/*/*/*/*"
+"""Key expression of the tokens of all publishers in every domain."""
+
+
+def place_of_token(token: str) -> tuple[int, str, str]:
+    """Return the domain that an endpoint's token names, the absolute name of its topic, and its type.
+
+    The type is empty if the token names none.
+    """
+    parts = token.split("/")
+    domain = int(parts[1]) if parts[1].isdecimal() else -1
+    wire_type = parts[10]
+    return domain, parts[9].replace("%", "/"), type_of_wire(wire_type) if is_wire_type(wire_type) else ""
+
+
 def session_of_token(token: str) -> str:
     """Return the Zenoh identity of the session that declared a token."""
     return token.split("/")[2]

@@ -12,7 +12,7 @@ from threading import Event
 from typing import Any, Self
 
 from rpod import __version__
-from rpod.errors import InterruptedRunError, NotReadyError
+from rpod.errors import FailedServiceError, InterruptedRunError, NotReadyError
 from rpod.play.draining import await_logged
 from rpod.play.facility import Facility, Speed, configure
 from rpod.play.fault_player import FaultPlayer
@@ -161,8 +161,12 @@ def _await_ready(
         progress.say(f"waiting for {', '.join(sorted(waiting))}{compiling}")
         for verb in sorted(waiting):
             _check(services, interrupted)
-            if _state(node, verb) == "ready":
+            state = _state(node, verb)
+            if state == "ready":
                 waiting.discard(verb)
+            elif state == "failed":
+                _check(services, interrupted)
+                raise FailedServiceError(verb, services.log_of(verb))
             elif clock.now_s() > _READY_TIMEOUT_S:
                 raise NotReadyError(verb, _READY_TIMEOUT_S, services.log_of(verb))
         time.sleep(_POLL_S)  # a query returns at once while no service answers it

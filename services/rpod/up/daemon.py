@@ -18,7 +18,7 @@ from rpod.up.reserve import Reserve
 from rpod.up.resolved import ResolvedService
 from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
-from rpod_runtime.process.notify import IN_RESERVE
+from rpod_runtime.process.notify import AT_WORK, IN_RESERVE
 from rpod_runtime.process.processes import end_process
 from rpod_runtime.process.reserve import RESERVE
 from rpod_schemas.config.facility.hosts import BackoffConfig
@@ -32,7 +32,7 @@ _LOG_BYTES = 16 << 20
 
 NO_MORE: Mapping[str, str] = MappingProxyType({})
 
-DaemonState = Literal["starting", "ready", "waiting", "ended", "refused", "stopping", "stopped"]
+DaemonState = Literal["starting", "ready", "failing", "waiting", "ended", "refused", "stopping", "stopped"]
 """``waiting`` is the wait before a restart, ``ended`` is over for good, ``refused`` has a wrong
 configuration."""
 
@@ -87,6 +87,7 @@ class Daemon:
         self._hang_s = service.settings.hang_s
         """Limit of the present process, which was told of it when it was started."""
         self._reason = ""
+        self._at_work = True
         self._address = sockets / service.name
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -96,6 +97,11 @@ class Daemon:
     def pid(self) -> int | None:
         """Process identifier, while there is a process."""
         return self._process.pid if self._process else None
+
+    @property
+    def told_state(self) -> DaemonState:
+        """State for the operator: a service that runs and cannot do its work is failing."""
+        return "failing" if self.state in ("starting", "ready") and not self._at_work else self.state
 
     @property
     def up_s(self) -> float:
@@ -114,6 +120,7 @@ class Daemon:
         self._started_s = self._heard_s = self._clock.now_s()
         self._ready_s, self._hang_s = 0.0, self.service.settings.hang_s
         self.state, self.message, self._reason = "starting", "", ""
+        self._at_work = True
         log.info("%s: started, process %d", self.name, self._process.pid)
 
     def _spawn(self, more: Mapping[str, str] = NO_MORE) -> subprocess.Popen[bytes]:
@@ -205,14 +212,19 @@ class Daemon:
         self._heard_s = self._clock.now_s()
         self.message = told.get("STATUS", self.message)
         if "READY" in told and self.state == "starting":
+            self._at_work = True
             self.state, self._ready_s = "ready", self._heard_s
             log.info("%s: ready after %.1f s", self.name, self._heard_s - self._started_s)
+        if AT_WORK in told:
+            self._at_work = told[AT_WORK] != "0"
+            level = logging.INFO if self._at_work else logging.ERROR
+            log.log(level, "%s: %s", self.name, self.message)
 
     def _kill_if_late(self) -> None:
         """Kill a process that does not become ready in time, or whose main loop hangs."""
         settings, now_s = self.service.settings, self._clock.now_s()
         late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
-        if self.state == "starting" and late:
+        if self.state == "starting" and late and self._at_work:  # else it has told why
             self._reason = f"was not ready after {settings.start_timeout_s:g} s"
         elif self.state == "ready" and now_s - self._heard_s > self._hang_s:
             self._reason = f"hung for {self._hang_s:g} s"
@@ -225,6 +237,8 @@ class Daemon:
         how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
         self.last_end = f"{self._reason}, {how}" if self._reason else how
         self._release()
+        if code > 0:
+            self.message = self._last_line()
         policy = self.service.settings.restarts
         if code == EXIT_USAGE:
             self.state = "refused"

@@ -21,7 +21,8 @@ class DaemonStatus(Config):
     name: str
     """Name in the facility's file."""
     state: str
-    """starting, ready, waiting (for its restart), ended, refused (its configuration), stopping, stopped."""
+    """starting, ready, failing (it runs and cannot do its work, as its message says), waiting (for its
+    restart), ended, refused (its configuration), stopping, stopped."""
     pid: int | None
     """Process identifier, while there is a process."""
     up_s: float

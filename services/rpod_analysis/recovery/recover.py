@@ -21,7 +21,7 @@ from mcap.records import (
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
-from rpod_analysis.errors import CannotWriteError, NoLogError, NotMcapError
+from rpod_analysis.errors import CannotWriteError, NoLogError, NothingRecoveredError, NotMcapError
 from rpod_analysis.log.log_file import RECOVERED, beside, summary_is_whole
 from rpod_analysis.recovery.salvage import DAMAGE, DamagedChunk, Found, Gap, is_mcap, scan
 from rpod_schemas.logs import PROFILE, RECOVERY, RecoveredTopic, Recovery
@@ -37,6 +37,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
     Raises:
         NoLogError: the file is missing or cannot be read.
         NotMcapError: the file contains nothing of an MCAP file.
+        NothingRecoveredError: it is damaged, and no message in it can be read.
         CannotWriteError: the new file already exists, or it cannot be written.
     """
     target = out or beside(source, RECOVERED)
@@ -54,7 +55,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
         except OSError as error:
             target.unlink(missing_ok=True)
             raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
-        except NotMcapError:
+        except (NotMcapError, NothingRecoveredError):
             target.unlink()
             raise
     return recovery
@@ -67,6 +68,8 @@ def _copy(stream: IO[bytes], written: IO[bytes], *, source: Path, out: Path, siz
     if not copier.records and not is_mcap(stream):
         raise NotMcapError(source)
     recovery = copier.recovery(source=source, out=out, size=size)
+    if not recovery.messages and not recovery.whole:
+        raise NothingRecoveredError(recovery)
     copier.finish(recovery)
     written.flush()
     os.fsync(written.fileno())

@@ -19,7 +19,7 @@ from rpod_schemas.messages import read_status
 from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_schemas.types import EstimatorStatus
 
-_ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.DUPLICATE, Reason.SECOND_PUBLISHER
+_ARRIVALS = Reason.LATE, Reason.FUTURE, Reason.CLOCK_STEP, Reason.DUPLICATE, Reason.SECOND_PUBLISHER
 _BY_ARRIVAL = tuple(f"{reason}:" for reason in _ARRIVALS)
 """Reasons for which a live run refused a frame by its time of arrival, which only that run can know."""
 _PATIENCE_NS = NANOSECONDS
@@ -100,14 +100,22 @@ class Frames:
                 stamp_ns = self.reader.stamp_ns(sensor, received)
                 if self.stamps is not None:
                     self.stamps.check(logged, stamp_ns)
-                if self.holders is not None and not self.holders.admit(received):
-                    return
-                for frame in self.reader.assemblers[sensor].add(name, stamp_ns, received):
-                    yield sensor, frame
+                for each, message in self._admitted(sensor, name, received):
+                    for frame in self.reader.assemblers[sensor].add(each, stamp_ns, message):
+                        yield sensor, frame
             elif logged.topic in self._latched:
                 self.reader.learn(received)
         except MessageRejectedError:
             self.refused[logged.topic] += 1
+
+    def _admitted(self, sensor: str, part: str, received: Received) -> Iterator[tuple[str, Received]]:
+        """Yield a part of a frame if its publisher may be used, after kept messages that count from it on."""
+        if self.holders is None:
+            yield part, received
+        elif self.holders.admit(received, lasts=self.reader.lasting(received.topic)):
+            if part == self.reader.leading[sensor]:
+                yield from self.reader.due(sensor, self.holders.kept, received)
+            yield part, received
 
     def _arrived(self, sensor: str, frame: Assembled[Received]) -> Arrived:
         try:

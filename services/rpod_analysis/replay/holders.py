@@ -16,6 +16,7 @@ from rpod_analysis.log.sensors import as_received
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.delivery.holders import SILENT_S, Holders, SecondPublisherError
+from rpod_runtime.delivery.kept import KeptMessages
 from rpod_schemas.logs import PUBLISHERS
 from rpod_schemas.rmw.cdr import NANOSECONDS
 
@@ -51,6 +52,8 @@ class LoggedHolders:
     def __init__(self, log: Log, streams: Collection[str]) -> None:
         self._log, self._streams = log, frozenset(streams)
         self._holders, self._now_s = Holders(), 0.0
+        self.kept = KeptMessages(self._holders)
+        """Messages that last, of publishers that did not hold their topic yet."""
         self._left: Counter[str] = Counter()
         for (topic, _, session), messages in log.publishers.items():
             if topic in self._streams and session:
@@ -58,11 +61,19 @@ class LoggedHolders:
         self.unused: Counter[str] = Counter()
         """Number of messages of publishers that did not hold their topic, by topic."""
 
-    def admit(self, received: Received) -> bool:
-        """Note a message of a stream; return whether it may be used."""
+    def admit(self, received: Received, *, lasts: bool = False) -> bool:
+        """Note a message of a stream; return whether it may be used.
+
+        Args:
+            received: the message.
+            lasts: whether it is valid until another comes, so that it may be used later.
+        """
         self._now_s = received.arrival_s
         try:
-            self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+            if lasts:
+                self.kept.admit(received)
+            else:
+                self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         except SecondPublisherError:
             self.unused[received.topic.name] += 1
             return False
@@ -87,6 +98,8 @@ class LoggedHolders:
         now_s = max(part.arrival_s for part in frame.parts.values())
         for part in frame.parts.values():
             heard_s = now_s if part.session == session else part.arrival_s
+            if not self.kept.may_hold(part):
+                continue
             with suppress(SecondPublisherError):
                 self._holders.hold(part.topic.name, part.peer, heard_s)
 
@@ -101,6 +114,7 @@ class LoggedHolders:
             return ""
         for topic in self._streams:
             self._holders.leave(topic, session)
+            self.kept.leave(topic, session)
         return session
 
     def release(self, keep_gid: str | None) -> str:

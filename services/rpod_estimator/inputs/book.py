@@ -22,8 +22,8 @@ LOCKSTEP_SILENCE_S = 60.0
 There the time of the bus decides, unless it stands still because a frame is awaited."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
-AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA})
-"""Kinds of losses that are told with the first frame: the sensor is not set up as it was."""
+AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
+"""Kinds of losses that are told with the first frame: the sensor, or its clock, is not as it was."""
 DOUBTFUL_SHARE = 0.125
 """Share of the recent frames that support the pose too little, above which it is told: as that above which
 the navigator begins no track."""

@@ -2,6 +2,10 @@
 
 from threading import Lock
 
+import zenoh
+
+from rpod_runtime import Node
+from rpod_schemas.rmw.wire import EVERY_PUBLISHER, place_of_token
 from rpod_schemas.topics import CONTRADICTION, ESTIMATE_JOINTS, Topic
 
 _MOST_TOPICS, _MOST_NAMED = 1_000, 6
@@ -16,7 +20,27 @@ class Published:
 
     def __init__(self) -> None:
         self._sessions: dict[str, set[str]] = {}
+        self._elsewhere: dict[tuple[int, str], int] = {}
+        """Number of publishers of sensors' topics in other domains, by domain and name."""
         self._lock = Lock()
+
+    def watch(self, node: Node) -> None:
+        """Watch the publishers of other ROS domains; on a secure bus nobody may see them."""
+        own = node.config.bus
+        if own.credentials is None:
+            node.watch_tokens(EVERY_PUBLISHER, lambda token: self.note(own.domain, token))
+
+    def note(self, own: int, token: zenoh.Sample) -> None:
+        """Note a publisher that comes or goes, by its token, if it is of another domain than the own one."""
+        domain, name, kind = place_of_token(str(token.key_expr))
+        if domain == own or not kind.startswith(_SENSORS):
+            return
+        place, step = (domain, name), 1 if token.kind == zenoh.SampleKind.PUT else -1
+        with self._lock:
+            if place in self._elsewhere or len(self._elsewhere) < _MOST_TOPICS:
+                self._elsewhere[place] = self._elsewhere.get(place, 0) + step
+                if self._elsewhere[place] <= 0:
+                    del self._elsewhere[place]
 
     def came(self, session: str, topic: Topic) -> None:
         """Note a publisher."""
@@ -44,9 +68,15 @@ class Published:
         if refused:
             return f"messages on {awaited} come and are refused, {refused}; let its driver send them right"
         with self._lock:
-            names = sorted(self._sessions)
+            names, elsewhere = sorted(self._sessions), sorted(self._elsewhere)
         if awaited in names:
             return f"{awaited} has a publisher that sends nothing; look at its driver"
+        if not names and elsewhere:
+            domain, name = elsewhere[0]
+            return (
+                f"{awaited} is awaited; {name} is published in ROS domain {domain}: give driver and "
+                "estimator the same domain (ROS_DOMAIN_ID, bus.domain)"
+            )
         if not names:
             return f"{awaited} is awaited, and no sensor's topic is published; is its driver running?"
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""

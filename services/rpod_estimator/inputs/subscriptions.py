@@ -21,12 +21,14 @@ from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
 from rpod_runtime.delivery.holders import Holders, Peer, SecondPublisherError
+from rpod_runtime.delivery.kept import KeptMessages
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensor_data.drift_watch import DriftWatch
 from rpod_runtime.sensor_data.end_watch import EndWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
+from rpod_runtime.sensor_data.step_watch import StepWatch
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -61,6 +63,10 @@ class Subscriptions:
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         self._drifts = {sensor.name: DriftWatch() for sensor in config.sensors}
         self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
+        self._steps = {
+            sensor.name: StepWatch(config.integrity.clock_sigma_s, sensor.source.arrives_within_s)
+            for sensor in config.sensors
+        }
         self._mounts: set[str] = set()
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
@@ -70,11 +76,16 @@ class Subscriptions:
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
+        self._kept = KeptMessages(self._holders)
         self._used_with: dict[str, tuple[Peer, Peer]] = {}
+        self._leaders: dict[str, tuple[Peer, float]] = {}
+        """Publisher of each sensor's frames, and when the last one of the publisher before it came."""
+        self._led_s: dict[str, float] = {}
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
         self._published = Published()
         node.watch_publishers(self._leave, self._published.came)
+        self._published.watch(node)
         for topic in self._reader.latched:
             node.subscribe(topic, self._latched.put)
         node.subscribe(DIAGNOSTICS, self._latched.put)
@@ -148,6 +159,7 @@ class Subscriptions:
         while not self._gone.empty():
             session, topic, is_last, gone_s = self._gone.get()
             self._holders.leave(topic.name, session, last=is_last, now_s=gone_s)
+            self._kept.leave(topic.name, session)
             self.health.refusals.leave(topic.name, session)
             if topic in self._reader.latched:
                 self._reader.leave(session, topic)
@@ -155,6 +167,8 @@ class Subscriptions:
             keep = self._resets.get()
             self._holders.release(keep=keep, now_s=time.monotonic())
             self._reader.forget(keep=keep)
+            for watch in self._steps.values():
+                watch.forget()
             self.health.refusals.forget()
         for received in self._latched.wait(0.0) + parts:
             try:
@@ -192,14 +206,7 @@ class Subscriptions:
         if leads and not self._in_lockstep:
             self._watch(sensor, stamp_ns, received.arrival_ns)
         try:
-            if part not in assembler.lasting:
-                self._check_freshness(received, stamp_ns)
-            if stamp_ns == assembler.done_ns and part in assembler.required:
-                raise MessageRejectedError(
-                    Reason.DUPLICATE,
-                    f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or "
-                    "gives two frames one stamp",
-                )
+            self._check_part(sensor, part, received, stamp_ns)
         except MessageRejectedError as error:
             if leads:
                 self._note_arrival(sensor, received, stamp_ns)
@@ -208,17 +215,39 @@ class Subscriptions:
                 assembler.refuse(stamp_ns)
                 raise FrameRefusedError(error.reason, error.text) from error
             raise
-        self._holders.admit(received.topic.name, received.peer, received.arrival_s)
+        if part in assembler.lasting:
+            self._kept.admit(received)
+        else:
+            self._holders.admit(received.topic.name, received.peer, received.arrival_s)
         if leads:
             self._note_arrival(sensor, received, stamp_ns)
+            for lasting, kept in self._reader.due(sensor, self._kept, received):
+                self._put(sensor, assembler.add(lasting, stamp_ns, kept))
         self._put(sensor, assembler.add(part, stamp_ns, received))
         for frame in assembler.take_given_up():
             self.health.give_up(sensor, frame, received.arrival_s)
         self._node.health.put(f"incomplete/{sensor}", assembler.incomplete)
 
+    def _check_part(self, sensor: str, part: str, received: Received, stamp_ns: int) -> None:
+        """Check the stamp of a part of a frame."""
+        assembler = self._reader.assemblers[sensor]
+        if part not in assembler.lasting:
+            self._check_freshness(received, stamp_ns)
+        if part == self._reader.leading[sensor] and not self._in_lockstep:
+            self._check_step(sensor, received, stamp_ns)
+        if stamp_ns == assembler.done_ns and part in assembler.required:
+            raise MessageRejectedError(
+                Reason.DUPLICATE,
+                f"the frame of {stamp_ns} ns is already complete; the driver sends a part twice, or gives "
+                "two frames one stamp",
+            )
+
     def _note_arrival(self, sensor: str, received: Received, stamp_ns: int) -> None:
         bus_s = stamp_ns / NANOSECONDS if self._in_lockstep else None
         self.health.books[sensor].note_arrival(received.arrival_s, bus_s)
+        if self._leaders.get(sensor, (None,))[0] != received.peer:
+            self._leaders[sensor] = received.peer, self._led_s.get(sensor, -np.inf)
+        self._led_s[sensor] = received.arrival_s
 
     def report_health(self, mode: Mode) -> None:
         """Write the health of the inputs into the diagnostics, by the time up to which all was processed."""
@@ -284,14 +313,31 @@ class Subscriptions:
                 f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
 
+    def _check_step(self, sensor: str, received: Received, stamp_ns: int) -> None:
+        """Check that the sensor's clock was not set since the frames before, if its publisher is used."""
+        watch, peer = self._steps[sensor], received.peer
+        try:
+            self._holders.check(received.topic.name, peer, received.arrival_s)
+        except SecondPublisherError:
+            return
+        step = watch.add(stamp_ns, received.arrival_ns, arrival_s=received.arrival_s, source=peer)
+        if watch.ended:
+            log.warning("%s: %s", sensor, watch.ended)
+        if step is not None:
+            raise MessageRejectedError(Reason.CLOCK_STEP, step.told)
+
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
         """Return whether a part is as new as its frame: a part that lasts, of the publisher of the frames.
 
-        Where sessions are unknown, this is the publisher with whose frames the part was used first.
+        Where sessions are unknown, this is the publisher with whose frames the part was used first, unless it
+        was there while another publisher sent the frames.
         """
         if part.session or leading.session:
             return part.session == leading.session
         name = part.topic.name
+        _, before_s = self._leaders.get(self._reader.parts[name][0], (None, -np.inf))
+        if part.arrival_s <= before_s:
+            return False
         user, frames = self._used_with.get(name, (None, None))
         if user != part.peer:
             frames = leading.peer
@@ -307,7 +353,8 @@ class Subscriptions:
             leading = frame.parts[self._reader.leading[sensor]]
             for part in frame.parts.values():
                 now_s = arrival_s if self._is_of_its_frames(part, leading) else part.arrival_s
-                self._holders.hold(part.topic.name, part.peer, now_s)
+                if self._kept.may_hold(part):
+                    self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
                 self._tell_mount(sensor, arrived.measurement)
                 if not self._in_lockstep:

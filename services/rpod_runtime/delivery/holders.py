@@ -55,6 +55,7 @@ class SecondPublisherError(MessageRejectedError):
             "estimator with the gid of the one to keep"
         )
         super().__init__(Reason.SECOND_PUBLISHER, text)
+        self.holder = holder
 
 
 @dataclass

@@ -19,6 +19,8 @@ _TURN_S = 0.25
 
 IN_RESERVE = "X_RPOD_RESERVE"
 """Name of the line by which a process in reserve says that it is warm."""
+AT_WORK = "X_RPOD_AT_WORK"
+"""Name of the line by which a service that was ready says whether it can do its work: 0 or 1."""
 
 
 class ServiceManager:
@@ -41,6 +43,10 @@ class ServiceManager:
     def ready(self, message: str) -> None:
         """Tell that the service is at work, and at what."""
         self._send(f"READY=1\nSTATUS={_line(message)}")
+
+    def works(self, message: str, *, at_work: bool) -> None:
+        """Tell what a service does, and whether it can do its work; systemd shows the message."""
+        self._send(f"STATUS={_line(message)}\n{AT_WORK}={int(at_work)}")
 
     def in_reserve(self) -> None:
         """Tell that the process is warm and waits for its turn; systemd ignores such names (sd_notify(3))."""

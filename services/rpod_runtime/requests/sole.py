@@ -2,13 +2,14 @@
 
 Two services of one name both answer each query and obey each command; two publishers of one estimate give a
 controller both in turn. So the second one does not start. Where two have come to run all the same, as after
-a link that was down, both say so.
+a link that was down, both say so. A second logger does no harm beside the first, and starts.
 """
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from threading import Lock
 
@@ -36,8 +37,18 @@ ALARM = "second_service"
 """Name of the value in the diagnostics that tells of another service."""
 
 
+@dataclass(frozen=True)
+class Sole:
+    """What a service wants to be alone with: its name, and topics."""
+
+    topics: tuple[Topic, ...] = ()
+    """Topics that nobody else may publish."""
+    starts_beside: bool = False
+    """Whether it starts although another service of its name is at work, and both say so."""
+
+
 def be_sole(
-    asker: Asker, session: zenoh.Session, config: ServiceConfig, topics: Iterable[Topic], health: HealthBook
+    asker: Asker, session: zenoh.Session, config: ServiceConfig, sole: Sole, health: HealthBook
 ) -> Callable[[], None]:
     """Let a service be the only one of its name, and the only publisher of topics.
 
@@ -49,9 +60,10 @@ def be_sole(
     """
     keys, instance = config.bus.keys, config.instance
     named = token_pattern(keys, "NN", instance)
-    _refuse_second(asker, session, named, instance)
+    if not sole.starts_beside:
+        _refuse_second(asker, session, named, instance)
     watched = {named: f"has the name {instance!r}"}
-    watched |= {publisher_tokens(keys, topic): f"publishes {topic.name}" for topic in topics}
+    watched |= {publisher_tokens(keys, topic): f"publishes {topic.name}" for topic in sole.topics}
     return _Watch(session, watched, health).end
 
 
@@ -115,7 +127,7 @@ class _Watch:
             if token.kind == zenoh.SampleKind.DELETE:
                 self._others.pop(key, None)
             elif key not in self._others and len(self._others) < _MOST:
-                self._others[key] = f"another service {what} (session {other})"
+                self._others[key] = f"another service {what} (session {other}, this one is {self._own})"
                 log.warning("%s; %s", self._others[key], _REMEDY)
             told = "; ".join(sorted(set(self._others.values())))
             self._health.alarm(ALARM, f"{told}; {_REMEDY}" if told else "")

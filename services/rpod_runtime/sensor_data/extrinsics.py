@@ -12,6 +12,8 @@ from rpod_schemas.topics import CHASER
 
 _AGREE_M = 1e-4
 _AGREE_RAD = 1e-4
+_MOST_NAMED = 6
+"""Largest number of frames that a text names."""
 MOST_LINKS = 100
 """Largest number of transforms from a sensor to the chaser."""
 
@@ -41,10 +43,7 @@ class Extrinsics:
         configured = self._configured.get(sensor)
         mount = configured if measured is None else measured
         if mount is None:
-            raise ExtrinsicsError(
-                f"no chain from {frame_id!r} to {CHASER!r}: publish it on tf_static, "
-                "or configure T_chaser_sensor"
-            )
+            raise ExtrinsicsError(self._no_chain(frame_id, session))
         try:
             MOUNT_M.check(float(np.linalg.norm(mount.translation)))
         except ValueError as error:
@@ -56,6 +55,26 @@ class Extrinsics:
                 "configuration"
             )
         return mount
+
+    def _no_chain(self, frame_id: str, session: str) -> str:
+        """Return that a frame has no chain to the chaser, with what is known instead, and the remedy."""
+        text = f"no chain from {frame_id!r} to {CHASER!r}"
+        remedy = "publish it on tf_static (tf itself is not read), or configure T_chaser_sensor"
+        if not frame_id:
+            return f"{text}: the frame_id is empty; let the driver set header.frame_id, or {remedy}"
+        bare = frame_id.lstrip("/")
+        if bare != frame_id and self._chain(bare, session) is not None:
+            return (
+                f"{text}, but one from {bare!r}: let the driver leave out the slash; frames of tf2 have none"
+            )
+        frame, frames = frame_id, [frame_id]
+        while (found := self.announced.of(frame, session)) is not None and found[1][0] not in frames:
+            frame = found[1][0]
+            frames.append(frame)
+        if len(frames) > 1:
+            return f"{text}: it ends at {frame!r}; {remedy} of the whole"
+        known = ", ".join(sorted(self.announced.names)[:_MOST_NAMED])
+        return f"{text}: {remedy}; tf_static has {known or 'nothing'}"
 
     def leave_unknown(self, frame_id: str) -> None:
         """Note that publishers of unknown sessions may be gone: the newest of their transforms count.

@@ -196,8 +196,15 @@ def test_the_faults_of_a_scenario_reach_its_emulator():
     assert facility.services["emulator"].faults == (PlannedFault(fault="glints", start_s=2.0),)
     with pytest.raises(ValidationError, match="no sensor 'front' is emulated"):
         Scenario.model_validate(document | {"faults": [{"fault": "glints", "sensor": "front"}]})
-    with pytest.raises(ValidationError, match="no fault 'gremlins'; known are silence"):
+    with pytest.raises(ValidationError, match=r"no fault 'gremlins'.*; known are silence"):
         Scenario.model_validate(document | {"faults": [{"fault": "gremlins"}]})
+    with pytest.raises(ValidationError, match="no fault 'Freeze'; did you mean frozen"):
+        Scenario.model_validate(document | {"faults": [{"fault": "Freeze"}]})
+    late = {"fault": "glints", "start_s": scenario.duration_s}
+    with pytest.raises(
+        ValidationError, match=r"glints has start_s .*, and the scenario's duration_s is .*: begi"
+    ):
+        Scenario.model_validate(document | {"faults": [late]})
 
 
 def test_a_size_that_is_asked_for_is_the_faults_size():

@@ -2,10 +2,13 @@
 
 from threading import Thread
 from time import monotonic
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from zenoh import SampleKind
 
+from rpod_estimator.inputs.book import Loss
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock, Received, WallClock
@@ -14,6 +17,7 @@ from rpod_runtime.errors import RefusedError
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.stamp_watch import StampWatch
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.service import BusConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import (
@@ -68,6 +72,7 @@ class FakeNode:
     def __init__(self, time_source):
         self.health = HealthBook("estimator")
         self.sinks, self.recovered, self.past = {}, {}, {}
+        self.config = SimpleNamespace(bus=BusConfig())
         self.clock = BusClock() if time_source == "clock" else WallClock()
         self.refused = []
 
@@ -78,6 +83,9 @@ class FakeNode:
 
     def watch_publishers(self, gone, came):
         self.gone, self.came = gone, came
+
+    def watch_tokens(self, _, take):
+        self.hears = take
 
     def reject(self, topic, error):
         self.refused.append((topic, str(error.reason)))
@@ -632,6 +640,137 @@ def test_the_lens_of_a_successor_that_names_no_session_is_its_own(unnamed):
     assert unnamed.bench.inputs.health.rivals == []
 
 
+def test_a_first_frame_that_overtakes_its_camera_info_does_not_bind_that_of_the_driver_before(unnamed):
+    """The driver before had no mount, so that none of its frames was used."""
+    unnamed.wait(2.5)
+    for _ in range(3):
+        unnamed.wait(0.1)
+        unnamed.bench.send_frame(
+            NOW_NS + unnamed.number * 1_000_000 + 1, by=SECOND, frame_id="nowhere", arrival_s=unnamed.now_s
+        )
+        unnamed.number += 1
+        assert unnamed.bench.arrived()[0].refused == "unknown_frame"
+    unnamed.wait(2.5)
+    [lens(unnamed, THIRD) for _ in range(3)]
+    used = [lens(unnamed, THIRD, camera=OTHER_LENS) for _ in range(30)]
+    assert used[-1] == 6.0
+    assert ("pmd/camera_info", "second_publisher") not in unnamed.bench.node.refused
+
+
+THIRD = Peer(b"3" * 16)
+OTHER_LENS = CAMERA.model_copy(update={"fx": 6.0})
+
+
+def send_camera(stage, by, camera=OTHER_LENS):
+    """Let a camera_info come alone."""
+    stage.number += 1
+    message = write_camera(NOW_NS + stage.number * 1_000_000, "c", camera)
+    stage.bench.send(CAMERA_INFO.of("pmd"), message, by=by, arrival_s=stage.now_s)
+    assert stage.bench.arrived() == []
+
+
+def lens(stage, by, *, camera=None, tracked=False):
+    """Let a frame come; return the focal length with which it is used, None where it is not used."""
+    stage.number += 1
+    stamp_ns = NOW_NS + stage.number * 1_000_000
+    stage.bench.inputs.pin(tracked)
+    stage.bench.send_frame(stamp_ns, by=by, camera=camera, arrival_s=stage.now_s, arrival_ns=stamp_ns)
+    found = stage.bench.arrived()
+    return found[0].measurement.data.camera.fx if found and found[0].measurement is not None else None
+
+
+def test_a_camera_info_that_came_once_while_its_topic_was_held_counts_with_its_publishers_frames(unnamed):
+    """As of a driver that is started again at once: its camera_info does not come a second time."""
+    unnamed.wait(1.0)
+    send_camera(unnamed, SECOND)
+    assert lens(unnamed, SECOND) is None, "the publisher before is not silent for 2 s"
+    unnamed.wait(1.5)
+    assert [lens(unnamed, SECOND) for _ in range(30)][-1] == 6.0
+    assert lens(unnamed, SECOND) == 6.0
+    assert unnamed.bench.inputs.health.rivals == []
+
+
+def test_a_kept_camera_info_is_not_used_with_the_frames_of_the_holder(unnamed):
+    send_camera(unnamed, SECOND)
+    used = []
+    for _ in range(10):
+        unnamed.wait(1.0)
+        used.append(lens(unnamed, FIRST))
+    assert set(used[3:]) == {5.0}, "the first ones wait for a camera_info of their own"
+    assert ("pmd/camera_info", "second_publisher") in unnamed.bench.node.refused
+
+
+def test_of_drivers_that_started_one_after_the_other_the_last_ones_camera_info_counts(unnamed):
+    for peer, fx in ((SECOND, 6.0), (THIRD, 7.0)):
+        unnamed.wait(0.5)
+        send_camera(unnamed, peer, CAMERA.model_copy(update={"fx": fx}))
+    unnamed.wait(2.0)
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_the_own_camera_info_of_a_third_driver_goes_before_one_that_was_kept(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    send_camera(unnamed, THIRD, CAMERA.model_copy(update={"fx": 7.0}))
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_a_kept_camera_info_does_not_keep_that_of_a_third_driver_out(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 6.0, "the newest that is known"
+    send_camera(unnamed, THIRD, CAMERA.model_copy(update={"fx": 7.0}))
+    assert [lens(unnamed, THIRD) for _ in range(30)][-1] == 7.0
+
+
+def test_a_kept_camera_info_of_a_publisher_that_is_gone_does_not_count(stage):
+    gone = Peer(b"g" * 16, "g0")
+    send_camera(stage, gone)
+    stage.bench.node.gone(gone.session, CAMERA_INFO.of("pmd"))
+    send_camera(stage, DRIVER, CAMERA.model_copy(update={"fx": 7.0}))
+    stage.wait(2.5)
+    assert [lens(stage, DRIVER) for _ in range(30)][-1] == 7.0
+
+
+def test_another_kept_lens_is_not_used_while_tracked(unnamed):
+    send_camera(unnamed, SECOND)
+    unnamed.wait(2.5)
+    assert [lens(unnamed, SECOND, tracked=True) for _ in range(30)] == [None] * 30
+
+
+def test_what_is_kept_is_bounded(unnamed):
+    for number in range(1000):
+        send_camera(unnamed, Peer(number.to_bytes(16, "big")))
+    assert sum(map(len, unnamed.bench.inputs._kept._kept.values())) <= 8
+
+
+def test_an_info_that_came_once_just_after_the_driver_before_counts_with_its_publishers_scans(monkeypatch):
+    bench, now_s = lidar_bench(), [1000.0]
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+
+    def scan(by):
+        stamp_ns = NOW_NS + round((now_s[0] - 1000.0) * SECOND_NS)
+        fields = {name: values + np.float32(1e-3 * now_s[0]) for name, values in CLOUD.items()}
+        bench.send_scan(stamp_ns, fields, by=by, arrival_ns=stamp_ns, arrival_s=now_s[0])
+        used = [frame.measurement for frame in bench.arrived() if frame.measurement is not None]
+        return bench.inputs.infos["lidar"].azimuth_rad if used else None
+
+    def announce(by, azimuth_rad):
+        info = LidarInfo(
+            azimuth_rad=np.array(azimuth_rad), elevation_rad=np.array([0.0, 0.1]), scan_time_s=0.1,
+            sigma_range_m=0.01,
+        )  # fmt: skip
+        bench.send(LIDAR_INFO.of("lidar"), write_lidar_info(0, "lidar", info), by=by, arrival_s=now_s[0])
+
+    announce(FIRST, [0.0, 0.1, 0.2])
+    np.testing.assert_array_equal(scan(FIRST), [0.0, 0.1, 0.2])
+    now_s[0] += 0.5
+    announce(SECOND, [0.1, 0.3, 0.5])
+    assert scan(SECOND) is None, "the publisher before is not silent for 2 s"
+    now_s[0] += 3.0
+    np.testing.assert_array_equal(scan(SECOND), [0.1, 0.3, 0.5])
+
+
 def test_a_reset_may_name_the_gid_to_keep(stage):
     stage.mount(DRIVER, x_m=1.0)
     assert stage.frame(DRIVER) is None
@@ -696,7 +835,10 @@ def test_images_that_do_not_fit_their_camera_are_counted_as_of_the_wrong_size():
     bench.send(AMPLITUDE.of("pmd"), image(np.ones((4, 6), np.uint16), "mono16"))
     bench.send(CAMERA_INFO.of("pmd"), wrong_camera())
     (arrived,) = bench.arrived()
-    assert arrived.reason == "wrong_size: image is 6 x 4 pixels, camera_info says 7 x 4; correct the driver"
+    assert arrived.reason == (
+        "wrong_size: the depth image is 6 x 4 pixels, camera_info says 7 x 4; let its driver send the "
+        "camera_info of the depth image, as it is scaled or cropped"
+    )
 
 
 @pytest.mark.parametrize("kept", [0, 3, 11])
@@ -1043,6 +1185,12 @@ def test_a_sensor_that_never_sends_is_told_with_what_is_awaited_and_what_is_publ
     bench.node.gone("one", other)
     bench.node.gone("one", DEPTH.of("pmd"))
     assert "no sensor's topic is published" in said()
+    endpoint = "MP/%/%/cam/%cam%depth%image_raw/sensor_msgs::msg::dds_::Image_/RIHS01_0/::,1:,:,:,,"
+    key = f"@ros2_lv/7/5e55/0/2/{endpoint}"
+    bench.node.hears(SimpleNamespace(key_expr=key, kind=SampleKind.PUT))
+    assert "/cam/depth/image_raw is published in ROS domain 7: give driver and estimator the same" in said()
+    bench.node.hears(SimpleNamespace(key_expr=key, kind=SampleKind.DELETE))
+    assert "ROS domain" not in said()
     bench.send_frame(NOW_NS)
     assert "awaited" not in said()
 
@@ -1136,3 +1284,37 @@ def test_a_clock_that_drifts_beyond_what_is_declared_is_told_although_each_frame
     level, message = message_of(bench, how["arrival_s"])
     assert level == Health.WARN
     assert "pmd: its clock runs 400 ppm too slow: its stamps have moved by 32.0 ms in 80 s" in message
+
+
+def test_frames_of_a_clock_that_is_set_back_are_refused_from_the_first_one_on_until_a_reset():
+    bench, start_s = lidar_bench(), monotonic()
+
+    def scan(number, moved_s=0.0):
+        due_ns = NOW_NS + number * SECOND_NS // 10
+        fields = {name: values + np.float32(1e-3 * number) for name, values in CLOUD.items()}
+        when = {"arrival_ns": due_ns + 10_000_000, "arrival_s": start_s + 0.1 * number}
+        bench.send_scan(due_ns + round(moved_s * SECOND_NS), fields, **when)
+        (arrived,) = bench.arrived()
+        return arrived
+
+    assert all(scan(number).measurement is not None for number in range(30))
+    refused = scan(30, -0.35)
+    assert refused.measurement is None
+    assert refused.refused == "clock_step"
+    assert refused.reason.startswith("clock_step: its stamps have moved by -0.350 s against their arrival")
+    bench.inputs.health.books["lidar"].lose(Loss(refused.refused, refused.reason), start_s + 3.0)
+    level, message, _ = told(bench, start_s + 3.0)
+    assert (level, "`reset` the estimator to accept the clock as it is" in message) == (Health.ERROR, True)
+    assert scan(31).measurement is not None
+    assert scan(32, -0.35).measurement is None
+    bench.inputs.request_reset(ResetRequest())
+    assert [scan(number, -0.35).measurement is not None for number in range(36, 60)][-20:] == [True] * 20
+
+
+def test_stamps_of_a_second_publisher_say_nothing_of_the_holders_clock(stage):
+    for number in range(60):
+        stage.number += 99  # 0.1 s
+        stage.wait(0.1)
+        assert stage.frame(EMULATOR) == 0.0, number
+        stage.mount(DRIVER)
+        assert stage.frame(DRIVER) is None

@@ -57,6 +57,26 @@ def test_without_a_chain_the_mount_comes_from_the_configuration(transforms):
         unknown.mount("pmd", "pmd_optical")
 
 
+@pytest.mark.parametrize(
+    ("frame_id", "told"),
+    [
+        ("/cam", r"but one from 'cam': let the driver leave out the slash"),
+        ("", r"the frame_id is empty; let the driver set header\.frame_id"),
+        ("lens", r"it ends at 'table'; publish it on tf_static \(tf itself is not read\).* of the whole"),
+        (
+            "camera",
+            r"tf itself is not read\), or configure T_chaser_sensor; tf_static has arm, cam, lens, robot",
+        ),
+    ],
+)
+def test_a_frame_without_a_chain_is_told_with_what_is_known(frame_id, told):
+    extrinsics = Extrinsics({"pmd": None})
+    for parent, child in (("chaser", "arm"), ("arm", "cam"), ("table", "robot"), ("robot", "lens")):
+        extrinsics.set(parent, child, T_PLATE_PMD)
+    with pytest.raises(ExtrinsicsError, match=told):
+        extrinsics.mount("pmd", frame_id)
+
+
 def test_a_sensor_that_nobody_told_of_has_no_mount():
     with pytest.raises(ExtrinsicsError):
         Extrinsics({}).mount("pmd", "pmd_optical")

@@ -65,8 +65,8 @@ def test_depth_survives_the_wire_as_a_view(depth_m):
     assert np.shares_memory(got, np.frombuffer(payload, np.uint8))
 
 
-def test_depth_in_millimetres_has_no_depth_at_zero():
-    image = np.array([[0, 1500], [2500, 0]], np.uint16)
+def test_depth_in_millimetres_has_no_depth_at_zero_and_at_the_largest_value():
+    image = np.array([[0, 1500], [2500, 65535]], np.uint16)
     got = messages.read_depth(through_the_wire(messages.write_image(1, "c", image, "16UC1")))
     np.testing.assert_allclose(got, [[np.nan, 1.5], [2.5, np.nan]], rtol=1e-6)
 

@@ -9,7 +9,7 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
 
-from rpod_analysis.errors import DamagedLogError, LogLimitError
+from rpod_analysis.errors import DamagedLogError, LogLimitError, NothingRecoveredError
 from rpod_analysis.log import limits, open_log
 from rpod_analysis.log.limits import LogLimits, lifted
 from rpod_analysis.recovery import recover
@@ -86,10 +86,11 @@ def test_a_chunk_is_never_decompressed_beyond_its_announced_size(tmp_path, compr
     tracemalloc.start()
     with open_log(path) as opened, pytest.raises(DamagedLogError, match=r"announces 1,048,576 bytes"):
         list(opened.messages())
-    recovery = recover(path)
+    with pytest.raises(NothingRecoveredError) as found:
+        recover(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert recovery.unreadable_bytes > 0
+    assert found.value.recovery.unreadable_bytes > 0
     assert peak < 200 * MIB
 
 
@@ -97,7 +98,8 @@ def test_a_chunk_that_announces_too_much_is_refused_in_one_line_and_not_recovere
     path = log(tmp_path / "log.mcap", "lz4", bomb("lz4"), announced=1 << 32)
     with pytest.raises(LogLimitError, match=r"4,294,967,296 bytes in a chunk.*--no-limits"):
         open_log(path)
-    assert recover(path).chunks_over_limit == 1
+    with pytest.raises(NothingRecoveredError, match=r"1 chunks announce too many bytes.*--no-limits"):
+        recover(path)
 
 
 def test_many_channels_are_refused_and_read_where_the_limits_are_lifted(tmp_path):

@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 from synthetic_log import SyntheticRun
 
 from rpod_analysis import AnalysisError, open_log, read_run
+from rpod_analysis.errors import NothingRecoveredError
 from rpod_analysis.recovery import recover
 from rpod_schemas.logs import RECOVERY, Recovery
 
@@ -73,7 +74,11 @@ def recovered(tmp_path):
         source, out = tmp_path / "damaged.mcap", tmp_path / "recovered.mcap"
         source.write_bytes(damaged)
         out.unlink(missing_ok=True)
-        recovery = recover(source, out)
+        try:
+            recovery = recover(source, out)
+        except NothingRecoveredError as error:
+            assert not out.exists(), "an empty log is none"
+            return error.recovery, []
         assert source.read_bytes() == damaged, "the original is never touched"
         found = messages_in(out.read_bytes())
         assert recovery.messages == len(found)
@@ -218,6 +223,21 @@ def test_what_is_no_mcap_is_refused_and_leaves_nothing(tmp_path, content):
     with pytest.raises(AnalysisError, match="is not an MCAP log"):
         recover(path)
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("size", [20, 60])
+def test_where_no_message_is_found_that_is_told_and_nothing_is_written(tmp_path, size):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(write_log()[:size])
+    with pytest.raises(NothingRecoveredError, match=f"no message can be recovered of its {size} bytes, of w"):
+        recover(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_undamaged_log_without_messages_is_no_failure(tmp_path):
+    path = tmp_path / "quiet.mcap"
+    path.write_bytes(write_log(messages=0))
+    assert recover(path).whole
 
 
 def test_a_log_that_is_missing_is_named(tmp_path):

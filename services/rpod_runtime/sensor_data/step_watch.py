@@ -1,0 +1,234 @@
+"""Whether the clock of a sensor was set: its stamps jump, while its frames arrive as before.
+
+A delay and a clock that was set back both make a frame look older on its arrival. They differ in what stays
+even. A delayed frame has the stamp that was due, and arrives late. A frame whose clock was set arrives when
+it was due, with a stamp that was not; or its stamp is before that of the frame before it, which no delay
+brings about. What is even is what the sensor itself has shown: each limit follows from the scatter of its own
+last frames and from what is declared of its clock, so that a sensor of uneven stamps is never suspected of
+more than stamps that run backwards.
+
+While a clock is not understood, its frames are refused: nothing tells when they were measured. That ends when
+the clock is as before, or when its frames are steady for a while and were not set back by more than what an
+exposure or a driver may change: by less than a period, and less than the delay that is usual.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
+from rpod_schemas.messages import NANOSECONDS
+
+FloatArray = NDArray[np.float64]
+
+_MOST = 64
+"""Number of the last frames that show how even a sensor is."""
+_LEAST = 10
+"""Number of frames from which on that is known, and for which a corrected clock is steady."""
+_RECENT = 4
+"""Number of the last frames with which a frame is compared: some of them may have been delayed."""
+_STEADY = 3
+"""Number of steps by which ages have to grow one after the other."""
+_SIGMAS = 5.0
+"""Deviation of a quantity, in its own standard deviations, beyond which it is not as before."""
+_MAD_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+class _Frame(NamedTuple):
+    stamp_ns: int
+    arrival_ns: int
+    arrival_s: float
+    """Time of arrival, monotonic clock: a jump of this machine's own clock is none of the sensor's."""
+
+    @property
+    def age_s(self) -> float:
+        return (self.arrival_ns - self.stamp_ns) / NANOSECONDS
+
+    def stamp_step_s(self, before: "_Frame") -> float:
+        return (self.stamp_ns - before.stamp_ns) / NANOSECONDS
+
+    def host_step_s(self, before: "_Frame") -> float:
+        wall_s = (self.arrival_ns - before.arrival_ns) / NANOSECONDS
+        return wall_s - (self.arrival_s - before.arrival_s)
+
+
+class Step(NamedTuple):
+    """A clock that was set, and is not understood yet."""
+
+    moved_s: float
+    """Way of the stamps against the arrivals, s; negative if the clock was set back."""
+    jitter_s: float
+    """Greatest deviation that the sensor's own jitter explains, s."""
+    age_s: float
+    """Age of the newest frame on its arrival, s."""
+
+    @property
+    def told(self) -> str:
+        """Figures and remedy, for the operator."""
+        return (
+            f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, where the jitter of its "
+            f"frames explains {self.jitter_s:.3f} s: its clock was set, or runs wrong; frames are "
+            f"{self.age_s:.3f} s old on arrival now; synchronise it by PTP or chrony, which slew and do not "
+            "step, then `reset` the estimator to accept the clock as it is"
+        )
+
+
+class _Pace(NamedTuple):
+    """How even the frames of a sensor are."""
+
+    period_s: float
+    stamp_s: float
+    """Greatest deviation of the time between two stamps that is usual, s."""
+    arrival_s: float
+    """The same of the time between two arrivals, s."""
+
+    def arrives_as_due(self, before: _Frame, frame: _Frame, frames: int) -> bool:
+        """Return whether a frame arrives so many periods after another one."""
+        return abs(frame.arrival_s - before.arrival_s - frames * self.period_s) <= self.arrival_s
+
+    def stamp_is_due(self, before: _Frame, frame: _Frame) -> bool:
+        """Return whether there are whole periods between two stamps: frames may be missing."""
+        step_s = frame.stamp_step_s(before)
+        periods = max(round(step_s / self.period_s), 1)
+        return abs(step_s - periods * self.period_s) <= periods * self.stamp_s
+
+
+@dataclass
+class StepWatch:
+    """Follows the stamps of one sensor, frame by frame.
+
+    Args:
+        clock_sigma_s: standard deviation of the sensor's stamps, as it is declared.
+        within_s: time within which its frames usually arrive after their measurement, s.
+    """
+
+    clock_sigma_s: float
+    within_s: float
+    ended: str = ""
+    """How the last suspicion ended, for the operator; empty but for the frame with which it did."""
+    _source: object = None
+    _frames: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_MOST))
+    _held: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_LEAST))
+    """Last frames since the clock was set."""
+
+    def forget(self) -> None:
+        """Accept the clock as it is."""
+        self._frames.clear()
+        self._held.clear()
+
+    def add(self, stamp_ns: int, arrival_ns: int, *, arrival_s: float, source: object) -> Step | None:
+        """Take a frame; return how its clock was set if the frame cannot be used for that.
+
+        Args:
+            stamp_ns: stamp, corrected by its source.
+            arrival_ns: time of arrival, this machine's clock.
+            arrival_s: time of arrival, monotonic clock.
+            source: publisher of the frame: a successor has a clock of its own.
+        """
+        frame = _Frame(stamp_ns, arrival_ns, arrival_s)
+        last = self._held[-1] if self._held else self._frames[-1] if self._frames else frame
+        if source != self._source or abs(frame.host_step_s(last)) > self._declared_s:
+            self.forget()
+        self._source, self.ended = source, ""
+        if len(self._frames) < _LEAST:
+            self._frames.append(frame)
+            return None
+        step = self._step(frame)
+        if step is None:
+            self.ended = "its stamps are as before again; its frames are used" if self._held else ""
+            self._held.clear()
+            self._frames.append(frame)
+            return None
+        self._held.append(frame)
+        if not self._is_corrected():
+            return step
+        self.ended = (
+            f"its stamps have moved by {step.moved_s:+.3f} s and are steady again: its clock was corrected, "
+            "or its exposure has changed; its frames are used"
+        )
+        self._frames = deque(self._held, maxlen=_MOST)
+        self._held.clear()
+        return None
+
+    @property
+    def _declared_s(self) -> float:
+        return CLOCK_SIGMAS * self.clock_sigma_s
+
+    def _step(self, frame: _Frame) -> Step | None:
+        """Return the step if the clock of a frame is not that of the frames before."""
+        ages_s = np.array([each.age_s for each in self._frames])
+        usual_s = float(np.median(ages_s))
+        limit_s = self._limit_s(ages_s - usual_s)
+        off_s = frame.age_s - usual_s
+        if abs(off_s) <= limit_s:
+            return None
+        if not self._held and not self._was_set(frame, off_s, ages_s - usual_s, limit_s):
+            return None
+        return Step(-off_s, limit_s, frame.age_s)
+
+    def _was_set(self, frame: _Frame, off_s: float, before_s: FloatArray, limit_s: float) -> bool:
+        """Return whether the clock was set, for a frame whose age is off.
+
+        Args:
+            frame: the frame.
+            off_s: its age over the usual one, s.
+            before_s: the same of the frames before it, s.
+            limit_s: greatest deviation that the jitter explains, s.
+        """
+        if frame.stamp_ns < self._frames[-1].stamp_ns and off_s > 0.0:
+            return True
+        if (pace := self._pace()) is None:
+            return False
+        is_possible = frame.age_s > -self._declared_s
+        for frames in range(1, _RECENT + 1):
+            before, earlier = self._frames[-frames], self._frames[-frames - 1]
+            is_usual = abs(before_s[-frames]) <= limit_s and pace.stamp_is_due(earlier, before)
+            stamp_is_due = is_possible and pace.stamp_is_due(before, frame)
+            if is_usual and pace.arrives_as_due(before, frame, frames) and not stamp_is_due:
+                return True
+        return is_possible and self._runs_wrong(frame, np.array([*before_s, off_s]), pace, limit_s)
+
+    def _runs_wrong(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
+        """Return whether the ages of the last frames grow steadily, while they arrive as due.
+
+        As where a clock loses time from a pause on, so that no frame before them is as usual.
+        """
+        last = [*list(self._frames)[-_STEADY:], frame]
+        as_due = all(pace.arrives_as_due(first, later, 1) for first, later in pairwise(last))
+        grow_s = np.diff(off_s[-_STEADY - 1 :]) * np.sign(off_s[-1])
+        grows = bool(grow_s.min() > 0.0 and grow_s.sum() > limit_s)
+        return as_due and grows and not pace.stamp_is_due(last[0], frame)
+
+    def _pace(self) -> _Pace | None:
+        """Return how even stamps and arrivals are; None where stamps do not rise."""
+        stamps_s = np.diff([each.stamp_ns for each in self._frames]) / NANOSECONDS
+        arrivals_s, period_s = np.diff([each.arrival_s for each in self._frames]), self._period_s
+        if period_s <= 0.0:
+            return None
+        return _Pace(period_s, self._limit_s(stamps_s - period_s), self._limit_s(arrivals_s - period_s))
+
+    def _limit_s(self, deviations_s: FloatArray) -> float:
+        return float(_SIGMAS * _MAD_SIGMA * np.median(np.abs(deviations_s)) + self._declared_s)
+
+    def _is_corrected(self) -> bool:
+        """Return whether the clock was set once, to a time that is as likely as the one before."""
+        if len(self._held) < _LEAST:
+            return False
+        usual_s = np.array([each.age_s for each in self._frames])
+        ages_s = np.array([each.age_s for each in self._held])
+        before_s, now_s = float(np.median(usual_s)), float(np.median(ages_s))
+        is_steady = np.abs(ages_s - now_s).max() <= self._limit_s(usual_s - before_s)
+        if not is_steady or now_s < -self._declared_s:
+            return False
+        if before_s < -self._declared_s:
+            return now_s <= self.within_s  # frames arrived before they were measured
+        return now_s - before_s <= min(self._period_s, self.within_s)
+
+    @property
+    def _period_s(self) -> float:
+        return float(np.median(np.diff([each.stamp_ns for each in self._frames]))) / NANOSECONDS
