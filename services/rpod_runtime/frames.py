@@ -110,7 +110,7 @@ class PmdReader:
             frame.parts["depth"],
             lambda message: (
                 read_text("frame_id", message.header.frame_id),
-                sized("depth", read_depth(_plain(message), self._source.depth_unit_m), size),
+                sized(read_depth(_plain(message), self._source.depth_unit_m), size, "depth"),
             ),
         )
         if self._source.depth == "radial":
@@ -118,7 +118,7 @@ class PmdReader:
         amplitude = saturated = None
         if sent := frame.parts.get("amplitude"):
             amplitude = read_part(
-                sent, lambda message: sized("amplitude", read_amplitude(_plain(message)), size)
+                sent, lambda message: sized(read_amplitude(_plain(message)), size, "amplitude")
             )
             saturated = saturated_pixels(amplitude, self._source.saturated_amplitude)
         if saturated is not None:
@@ -336,13 +336,16 @@ _OTHER_SIZE = {
 """What to do about an image of another size."""
 
 
-def sized(name: str, image: Any, size: tuple[int, int]) -> Any:
-    """Return the image if its shape is ``size``, (height, width); else raise ``MessageRejectedError``."""
+def sized(image: Any, size: tuple[int, int], name: str = "") -> Any:
+    """Return the image if its shape is ``size``, (height, width); else raise ``MessageRejectedError``.
+
+    ``name`` is that of the image in the message, "depth" or "amplitude".
+    """
     if image.shape != size:
         raise MessageRejectedError(
             Reason.WRONG_SIZE,
-            f"the {name} image is {image.shape[1]} x {image.shape[0]} pixels, camera_info says "
-            f"{size[1]} x {size[0]}; {_OTHER_SIZE[name]}",
+            f"{f'the {name} image' if name else 'image'} is {image.shape[1]} x {image.shape[0]} pixels, "
+            f"camera_info says {size[1]} x {size[0]}; {_OTHER_SIZE.get(name, 'correct the driver')}",
         )
     return image
 

@@ -162,7 +162,7 @@ class Node(Asker):
         self._token(self._graph.endpoint_token("MS", self._entity(), topic))
         if topic.latched:
             tell = offer_watch(topic, self.health.warn)
-            self.watch_tokens(publisher_tokens(self._keys, topic), lambda token: tell(str(token.key_expr)))
+            self.watch_tokens(publisher_tokens(self._keys, topic), lambda token, _: tell(token))
 
     def subscribe_all(
         self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
@@ -176,8 +176,8 @@ class Node(Asker):
             self._subscribe(pattern, sink, recover=recover, history=recover)
         shown: set[Topic] = set()
 
-        def show(token: zenoh.Sample) -> None:
-            topic = topic_of_token(str(token.key_expr), self._keys)
+        def show(token: str, _: bool) -> None:
+            topic = topic_of_token(token, self._keys)
             if topic in shown or topic is None or not any(pattern.covers(topic) for pattern in patterns):
                 return
             shown.add(topic)
@@ -190,23 +190,24 @@ class Node(Asker):
     ) -> None:
         """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` when one comes."""
 
-        def take(token: zenoh.Sample) -> None:
-            key = str(token.key_expr)
-            topic = topic_of_token(key, self._keys)
-            tell = gone if token.kind == zenoh.SampleKind.DELETE else came
+        def take(token: str, is_there: bool) -> None:
+            topic = topic_of_token(token, self._keys)
+            tell = came if is_there else gone
             if tell is not None and topic is not None:
-                tell(session_of_token(key), topic)
+                tell(session_of_token(token), topic)
 
         self.watch_tokens(publisher_tokens(self._keys), take, history=came is not None)
 
-    def watch_tokens(
-        self, pattern: str, take: Callable[[zenoh.Sample], None], *, history: bool = True
-    ) -> None:
-        """Call ``take`` in the bus's thread with each liveliness token that comes or vanishes.
+    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None], *, history: bool = True) -> None:
+        """Call ``take`` in the bus's thread with each liveliness token and whether it comes or vanishes.
 
         With ``history`` it is called at once for the tokens that are there.
         """
-        watcher = self._session.liveliness().declare_subscriber(pattern, take, history=history)
+        watcher = self._session.liveliness().declare_subscriber(
+            pattern,
+            lambda sample: take(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
+            history=history,
+        )
         self._stack.callback(watcher.undeclare)
 
     def watch_publisher_qos(self, tell: Callable[[tuple[str, str, str]], None]) -> None:
@@ -215,11 +216,10 @@ class Node(Asker):
         It runs in the bus's thread, at once for the publishers that are there, then for those that come.
         """
 
-        def take(token: zenoh.Sample) -> None:
-            key = str(token.key_expr)
-            topic = topic_of_token(key, self._keys)
-            if token.kind == zenoh.SampleKind.PUT and topic is not None:
-                tell((topic.name, qos_of_token(key), session_of_token(key)))
+        def take(token: str, is_there: bool) -> None:
+            topic = topic_of_token(token, self._keys)
+            if is_there and topic is not None:
+                tell((topic.name, qos_of_token(token), session_of_token(token)))
 
         self.watch_tokens(publisher_tokens(self._keys), take)
 

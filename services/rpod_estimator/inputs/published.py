@@ -2,8 +2,6 @@
 
 from threading import Lock
 
-import zenoh
-
 from rpod_runtime import Node
 from rpod_schemas.rmw.wire import EVERY_PUBLISHER, place_of_token
 from rpod_schemas.topics import CONTRADICTION, ESTIMATE_JOINTS, Topic
@@ -28,14 +26,14 @@ class Published:
         """Watch the publishers of other ROS domains; on a secure bus nobody may see them."""
         own = node.config.bus
         if own.credentials is None:
-            node.watch_tokens(EVERY_PUBLISHER, lambda token: self.note(own.domain, token))
+            node.watch_tokens(EVERY_PUBLISHER, lambda token, is_there: self.note(own.domain, token, is_there))
 
-    def note(self, own: int, token: zenoh.Sample) -> None:
+    def note(self, own: int, token: str, is_there: bool) -> None:
         """Note a publisher that comes or goes, by its token, if it is of another domain than the own one."""
-        domain, name, kind = place_of_token(str(token.key_expr))
+        domain, name, kind = place_of_token(token)
         if domain == own or not kind.startswith(_SENSORS):
             return
-        place, step = (domain, name), 1 if token.kind == zenoh.SampleKind.PUT else -1
+        place, step = (domain, name), 1 if is_there else -1
         with self._lock:
             if place in self._elsewhere or len(self._elsewhere) < _MOST_TOPICS:
                 self._elsewhere[place] = self._elsewhere.get(place, 0) + step

@@ -132,6 +132,8 @@ class StepWatch:
         """
         frame = _Frame(stamp_ns, arrival_ns, arrival_s)
         last = self._held[-1] if self._held else self._frames[-1] if self._frames else frame
+        if stamp_ns == last.stamp_ns and last is not frame:
+            return None  # sent again: it tells nothing of the clock
         if source != self._source or abs(frame.host_step_s(last)) > self._declared_s:
             self.forget()
         self._source, self.ended = source, ""

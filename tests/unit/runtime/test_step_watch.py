@@ -172,3 +172,11 @@ def test_a_reset_accepts_the_clock_as_it_is_and_the_text_has_figures_and_remedy(
     assert "synchronise it by PTP or chrony" in step.told
     one.forget()
     assert add(one, 6.0 - 0.4, 6.01) is None
+
+
+def test_a_frame_that_is_sent_again_tells_nothing_of_the_clock():
+    one = watch()
+    for n in range(40):
+        assert not add(one, 0.1 * n, 0.1 * n + 0.005)
+        assert not add(one, 0.1 * n, 0.1 * n + 0.055)
+    assert add(one, 4.0 - 0.43, 4.005)
