@@ -38,9 +38,12 @@ def rows_of(results) -> pl.DataFrame:
 
 
 def once(campaign: Prepared) -> bool:
-    """Return whether the folder has each trial exactly once, in one file, and nothing else of them."""
+    """Return whether the folder has each trial exactly once, in one file, and no part beside it.
+
+    A worker that was killed while it wrote a part leaves a temporary file, which a later run removes.
+    """
     rows = pl.read_parquet(campaign.folder.trials_file)
-    left = [*campaign.folder.path.glob("part-*"), *campaign.folder.path.glob("*.tmp")]
+    left = list(campaign.folder.path.glob("part-*.parquet"))
     return rows.height == campaign.total == rows.select("cell", "trial").n_unique() and not left
 
 

@@ -9,6 +9,7 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -19,6 +20,8 @@ from rpod_campaign.engine.campaign import CELL, TRIAL, AnyCampaign, Row
 from rpod_campaign.engine.errors import ForeignFolderError
 
 MANIFEST = "manifest.json"
+_ABANDONED_S = 600.0
+"""Age from which on a file that is being written is left over from a process that was killed, s."""
 _MOST_PARTS = 256
 """Number of files of rows above which they are merged into one while the campaign runs."""
 _READS = 5
@@ -123,7 +126,7 @@ class CampaignFolder:
         parts, rows = self._parts(), self.read()
         if parts:
             self._write(self.trials_file, rows)
-            for part in parts:
+            for part in (*parts, *self._abandoned()):
                 part.unlink(missing_ok=True)
         return rows
 
@@ -140,6 +143,15 @@ class CampaignFolder:
 
     def _parts(self) -> list[Path]:
         return sorted(self.path.glob("part-*.parquet"))
+
+    def _abandoned(self) -> list[Path]:
+        """Return what processes that were killed have left: written for much longer than a part takes."""
+        before_s, found = time.time() - _ABANDONED_S, []
+        for file in self.path.glob("part-*.tmp"):
+            with suppress(FileNotFoundError):  # it was finished in this moment
+                if file.stat().st_mtime < before_s:
+                    found.append(file)
+        return found
 
     @staticmethod
     def _write(file: Path, rows: pl.DataFrame) -> None:

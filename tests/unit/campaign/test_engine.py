@@ -104,6 +104,17 @@ def test_a_process_that_ends_is_told_by_how_it_ended_and_the_others_are_kept(tmp
     assert set(prepared(tmp_path, ranges=(1.0, factor), trials=2).done) == {(0, 0), (0, 1)}
 
 
+def test_what_a_killed_process_has_left_is_removed_and_what_is_being_written_is_not(tmp_path):
+    folder = prepared(tmp_path, trials=2).folder.path
+    old, new = folder / "part-a.1.tmp", folder / "part-b.2.tmp"
+    for file in (old, new):
+        file.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    run_campaign(prepared(tmp_path, trials=2), jobs=1)
+    assert not old.exists()
+    assert new.exists()
+
+
 def test_a_changed_parameter_is_another_folder(tmp_path):
     paths = {
         prepared(tmp_path, **options).folder.path
