@@ -35,8 +35,8 @@ _CHANGED = 0.2
 _GATHERED = 4.0
 """Least ratio of the steps between lines to those within a line."""
 _NARROW = 0.06
-"""Greatest RMS width of lines, over the step between them. Numerics: in 300 drawings each, the lines that
-points at random seem to form are narrower in none of 20 points and more, and in at most two of 12."""
+"""Greatest RMS width of lines, over the step between them. Numerics: the lines that points at random seem to
+form are wider in all of 300 drawings each of 6 to 3,000 points."""
 _STRAY = 0.25
 """Least number of points of a line over the usual one; fewer are strays between lines."""
 _MARGIN = 8
@@ -330,7 +330,7 @@ def _empty_rad(azimuth: Angles, elevation: Angles) -> float:
     except (QhullError, ValueError):
         return 0.0
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1).swapaxes(0, 1)
+    (ax, ay), (bx, by) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
     area = 0.5 * np.abs(ax * by - ay * bx)
     radius = sides.prod(axis=1) / np.maximum(4.0 * area, 1e-30)
     order = np.argsort(radius)
