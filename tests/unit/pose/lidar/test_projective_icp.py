@@ -275,9 +275,13 @@ def test_turns_of_a_nearly_round_body_are_found_or_called_undetermined():
     assert all("turn about the axis is undetermined" in reason for reason in doubtful)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_returns_from_the_edge_of_a_beam_do_not_pull_the_pose(seed):
-    """Beams of 3 mrad, 40 x 40 rays, mock-up at 5 m: by thin rays alone the mean NEES was 80."""
+def test_returns_from_the_edge_of_a_beam_do_not_pull_the_pose():
+    """Beams of 3 mrad, 40 x 40 rays, mock-up at 5 m: three scans: with thin rays the mean NEES was 28."""
+    assert np.mean([nees_of_wide_beams(seed) for seed in range(3)]) < 10.0
+
+
+def nees_of_wide_beams(seed):
+    """Return the NEES of a tracked pose."""
     target, rng, half_rad = load_target("mockup"), np.random.default_rng(seed), 1.5e-3
     truth = make_pose(rotation=Rotation.random(rng=rng), translation_m=(0.1, -0.1, 5.0))
     lines = np.linspace(-0.3, 0.3, 40)
@@ -295,4 +299,4 @@ def test_returns_from_the_edge_of_a_beam_do_not_pull_the_pose(seed):
     found = ProjectiveIcp(ProjectiveIcpConfig(), target, pattern).track(scan, truth)
     assert found.begins_track
     assert np.isfinite(ranges_m[0]).sum() < met.sum()
-    assert nees(truth, found) < 30.0
+    return nees(truth, found)
