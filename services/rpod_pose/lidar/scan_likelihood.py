@@ -27,8 +27,8 @@ PEAK = 0.375
 """Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale.
 Physics: 3/8."""
 HALF_BEAM_RAD = 1.5e-3
-"""Half the width of a beam. Physics: turning scanners have 3 mrad (Velodyne, VLS-128 manual, table F-1), and no
-message states it. A beam gives a return where its edge meets a surface, although its middle passes."""
+"""Half the width of a beam. Physics: turning scanners have 3 mrad (Velodyne, VLS-128 manual, table F-1), and
+no message states it. A beam gives a return where its edge meets a surface, although its middle passes."""
 HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
 """Mean and variance of minus the logarithm of that density. Physics: integrated numerically."""
 

@@ -73,7 +73,7 @@ def test_returns_beside_the_rays_are_the_rays_themselves():
 
 @pytest.mark.parametrize("kind", ["random", "rings"])
 def test_a_pose_is_found_by_rays_that_no_pattern_repeats(kind):
-    """Three scans of a mock-up at 5 m by 300 returns, noise 6 mm; with fixed rays none at random was accepted."""
+    """Three scans of a mock-up at 5 m, noise 6 mm; with fixed rays none at random was accepted."""
     target, found = load_target("mockup"), []
     for seed in range(3):
         rng = np.random.default_rng(seed)
