@@ -1,4 +1,4 @@
-"""One run by the wall clock, ``rpod run mockup-tumbling --duration 6 --json``: what it says and leaves."""
+"""A short run by the wall clock, ``rpod run mockup-tumbling --json``: what it says and leaves."""
 
 import json
 from collections import Counter
@@ -48,19 +48,24 @@ FIELDS = {
 }  # fmt: skip
 """``summary.json`` as the interface control document has it in section 6."""
 
-_TRIES = 3
+_DURATIONS_S = (6, 20, 60)
 
 
 @pytest.fixture(scope="session")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """A run with an accepted pose: an overloaded machine may give an estimator no time within six seconds."""
-    arguments = ("mockup-tumbling", "--duration", "6", "--json")
-    for _ in range(_TRIES):
+    """A run with an accepted pose: on a loaded machine the first search lasts longer than a short run."""
+    for duration_s in _DURATIONS_S:
+        arguments = ("mockup-tumbling", "--duration", str(duration_s), "--json")
         with closing(FacilityProcess(*arguments, out=tmp_path_factory.mktemp("live"))) as run:
             finished = run.finish()
         if finished.code or finished.summary.estimates.accepted:
             break
     return finished
+
+
+def asked_s(run: Finished) -> float:
+    """Return the duration that was asked for, s."""
+    return float(json.loads((run.directory / "scenario.json").read_text("utf-8"))["duration_s"])
 
 
 def said_last(run: Finished, service: str) -> dict[str, str]:
@@ -76,7 +81,7 @@ def test_it_succeeds_and_prints_the_summary_as_one_object_and_nothing_else(live)
     assert Summary.model_validate_json(live.stdout) == live.summary
     assert live.summary.scenario == "mockup-tumbling"
     assert live.summary.seed == 7
-    assert live.summary.duration_s > 5.5, "the services end later on a loaded machine"
+    assert live.summary.duration_s > asked_s(live) - 0.5, "the services end later on a loaded machine"
 
 
 @pytest.mark.parametrize("block", FIELDS)
@@ -101,7 +106,7 @@ def test_the_folder_holds_log_report_and_summary(live):
     assert Path(live.summary.log) == live.log
     assert Path(live.summary.report) == live.directory / "report.html"
     assert "mockup-tumbling" in (live.directory / "report.html").read_text("utf-8")
-    assert json.loads((live.directory / "scenario.json").read_text("utf-8"))["duration_s"] == 6.0
+    assert asked_s(live) in _DURATIONS_S
 
 
 def test_no_message_is_missed_between_publishers_and_log(live):
@@ -121,7 +126,7 @@ def test_all_of_the_truth_is_logged(live):
         stamps_ns = np.array([peek_stamp(logged.payload) for logged in log.messages(TRUTH)])
     assert np.all(np.abs(np.diff(stamps_ns) - 4_000_000) <= 1), "nothing is missing between two"
     if "the motion goes on" not in (live.directory / "logs" / "motion.log").read_text("utf-8"):
-        assert len(stamps_ns) == 250 * 6 + 25 + 25 + 1
+        assert len(stamps_ns) == 250 * asked_s(live) + 25 + 25 + 1
 
 
 def test_every_frame_of_the_camera_is_estimated_or_accounted_for(live):
