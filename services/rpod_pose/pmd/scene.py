@@ -130,7 +130,7 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
         return implausible
     shown, dim = _measured(frame, config), np.inf
     if frame.amplitude is not None and shown.any():
-        dim = config.lit_share * float(np.percentile(frame.amplitude[shown], DARKEST_PERCENT))
+        dim = _dim(frame.amplitude, shown, config.lit_share)
     bright = shown if frame.amplitude is None else shown | (frame.amplitude > dim)
     stride = int(np.clip(round(np.sqrt(np.count_nonzero(bright) / config.pixels)), 1, config.most_stride_px))
     try:
@@ -143,6 +143,21 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     if len(found.points_m) < config.min_points:
         return f"{len(found.points_m)} pixels with depth on the target, {config.min_points} needed"
     return found
+
+
+def _dim(amplitude: NDArray[np.generic], shown: NDArray[np.bool_], share: float) -> float:
+    """Return the amplitude above which a pixel is lit in any case: a share of the way from sky to target.
+
+    The sky of a camera with a pedestal, or with lens glare, is not dark.
+
+    Args:
+        amplitude: amplitude of all pixels, shape (H, W).
+        shown: pixels whose depth is used, at least one, shape (H, W).
+        share: share of the way from the sky to the darkest pixels with depth.
+    """
+    darkest = float(np.percentile(amplitude[shown], DARKEST_PERCENT))
+    sky = float(np.median(amplitude[~shown])) if not shown.all() else 0.0
+    return sky + share * (darkest - sky) if sky < darkest else share * darkest
 
 
 def _strided(

@@ -105,6 +105,16 @@ def test_the_zeros_of_a_sky_without_noise_are_no_glint():
     assert result.lit.mean() == pytest.approx((result.range_m > 0.0).mean(), abs=0.02)
 
 
+@pytest.mark.parametrize("noise", [0, 1])
+def test_a_sky_that_is_as_bright_as_dark_parts_is_not_lit(noise):
+    """Eight bits with a pedestal, or lens glare: the darkest part has 60 counts, the sky 20."""
+    depth_m, lost = without_middle()
+    amplitude = shade(60, sky=20 + SKY % (noise + 1))
+    result = scene(depth_m, np.where(lost, 40, amplitude).astype(np.uint8))
+    assert lit_where(result, lost).mean() > 0.95
+    assert lit_where(result, ~np.isfinite(ideal().depth_m)).mean() < 0.01
+
+
 def test_about_as_many_pixels_are_looked_at_at_any_range():
     for range_m in (2.5, 4.0, 6.0):
         T = make_pose(rotation=FACING, translation_m=(0.0, 0.0, range_m))
