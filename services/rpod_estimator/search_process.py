@@ -13,6 +13,7 @@ waits for any more ends at its next step. If it has not ended after about the ti
 is replaced.
 """
 
+import gc
 import io
 import logging
 import os
@@ -90,6 +91,7 @@ class SearchProcess:
             self._fork(loaded)
 
     def _fork(self, loaded: Loaded) -> None:
+        gc.freeze()  # a collection writes to each object that it looks at, which would end the sharing
         self._connection, theirs = Pipe()
         arguments = theirs, self._connection, self._sensor, loaded
         self._start(get_context("fork").Process(target=_serve_forked, args=arguments))
@@ -215,6 +217,7 @@ def _serve_forked(connection: Connection, theirs: Connection, sensor: SensorInpu
     _ignore_stops()
     theirs.close()  # the estimator's end; with a copy of it, its end would not be noticed
     os.nice(NICENESS)
+    gc.enable()
     _search_on(connection, sensor, loaded)
 
 
