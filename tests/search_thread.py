@@ -18,7 +18,7 @@ class SearchThread:
 
     is_ready = True
 
-    def __init__(self, target: str, sensor: SensorInput) -> None:
+    def __init__(self, target: str, sensor: SensorInput, _loaded: object = None) -> None:
         self._target, self._sensor = target, sensor
         self._executor = ThreadPoolExecutor(1)
         self._future: Future[Found] | None = None

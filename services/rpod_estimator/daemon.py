@@ -1,9 +1,12 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
+import gc
 import logging
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from threading import Event
+from typing import Any
 
 from rpod_estimator.estimator import TICK_S, Estimator
 from rpod_estimator.frame_reader import Arrived
@@ -12,9 +15,11 @@ from rpod_estimator.inputs.imu import ImuInput
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_estimator.live_searches import LiveSearches, Worker
 from rpod_estimator.outputs import Outputs
-from rpod_estimator.search_process import SearchProcess
+from rpod_estimator.search_process import Loaded, SearchProcess, native_threads
 from rpod_estimator.validity import Beacon, Validity
+from rpod_pose.navigation.first_pose.searches import Searches
 from rpod_pose.navigation.state import Output
+from rpod_pose.ports import Methods
 from rpod_runtime import Node
 from rpod_runtime.process.notify import manager
 from rpod_runtime.requests.sole import Sole
@@ -34,15 +39,26 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     log.info(
         "loading the target %s and the methods; the first start compiles, which takes longer", config.target
     )
+    threads = native_threads()
     with ExitStack() as stack:
-        workers: dict[str, Worker] = {}
-        if config.time_source == "wall":  # in lockstep, results must not depend on the machine's speed
-            for sensor in config.sensors:
-                workers[sensor.name] = SearchProcess(config.target, sensor)
-                stack.callback(workers[sensor.name].end)
+        gc.disable()  # nothing of what is loaded is garbage; collections would take a tenth of the time
+        stack.callback(gc.enable)
         target = load_target(config.target)
+        workers: dict[str, Worker] = {}
         live = LiveSearches(workers)
-        estimator = Estimator(config, target, live.of if workers else None)
+
+        def open_searches(methods: Mapping[str, Methods], setups: Mapping[str, Any]) -> Searches:
+            may_fork = threads is not None and native_threads() == threads
+            for sensor in config.sensors:
+                name = sensor.name
+                loaded = Loaded(target, methods.get(name), setups.get(name)) if may_fork else None
+                workers[name] = SearchProcess(config.target, sensor, loaded)
+                stack.callback(workers[name].end)
+            return live.of(methods, setups)
+
+        # in lockstep, results must not depend on the machine's speed
+        estimator = Estimator(config, target, open_searches if config.time_source == "wall" else None)
+        gc.enable()
         live.await_workers(stop)
         _serve(config, estimator, live, target, version=version, stop=stop)
 

@@ -1,12 +1,19 @@
 """A process that searches for one sensor, so that tracking waits neither for its turn nor for a lock.
 
-It makes the sensor's methods anew, from the configuration. It searches at a lower priority than the
-estimator, and ends with it. The estimator waits until the process is warm, which therefore starts at the
-usual priority; one that is started later, beside the tracking, has the lower one from the beginning. A search
-that nobody waits for any more ends at its next step. If it has not ended after about the time of a restart,
-the process is replaced.
+The first process of a sensor is a fork of the estimator: it has the target and the methods that the estimator
+has made, and is ready at once. A fork keeps only the thread that forks, and a lock that another thread holds
+stays locked for ever. Therefore the estimator forks before it opens the bus, and only if it has no other
+threads than after its imports. These are harmless: those of ``lifecycle``, which wait in ``read``, and those
+of OpenBLAS, which ends them itself before a fork. Otherwise (Open3D has threads once it has built a target),
+and at each restart, the process is spawned: it makes its methods anew, which takes seconds.
+
+The process searches at a lower priority than the estimator, and ends with it. The estimator waits until the
+process is warm. One that is spawned at the start has the usual priority until then. A search that nobody
+waits for any more ends at its next step. If it has not ended after about the time of a restart, the process
+is replaced.
 """
 
+import gc
 import io
 import logging
 import os
@@ -15,8 +22,11 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing import get_context, resource_tracker
+from dataclasses import dataclass
+from multiprocessing import Pipe, get_context, resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +37,7 @@ from rpod_pose.navigation.first_pose.searches import Found, Search, find
 from rpod_pose.ports import Methods
 from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.sensor import SensorInput
-from rpod_target import load_target
+from rpod_target import Target, load_target
 
 log = logging.getLogger(__name__)
 
@@ -43,36 +53,65 @@ _LONGEST_PAUSE_S = 60.0
 """Longest pause before a process that has ended is started again."""
 
 
+@dataclass(frozen=True)
+class Loaded:
+    """What a fork has of the estimator."""
+
+    target: Target
+    methods: Methods | None
+    """Methods of the sensor, warmed up; None as long as its setup is not known."""
+    setup: Any
+    """Result of ``KindMethods.setup`` for these methods."""
+
+
 class SearchProcess:
     """Searches for one sensor, one search at a time.
 
     Args:
         target: name or file of the target.
         sensor: configuration of the sensor.
+        loaded: what the first process has by a fork; None to spawn it.
         now_s: monotonic clock, s.
     """
 
     def __init__(
-        self, target: str, sensor: SensorInput, *, now_s: Callable[[], float] = time.monotonic
+        self,
+        target: str,
+        sensor: SensorInput,
+        loaded: Loaded | None = None,
+        *,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._target, self._sensor, self._now_s = target, sensor, now_s
         self._pause_s = RESTART_S
         self._again_s: float | None = None
-        self._start(beside_tracking=False)
+        if loaded is None:
+            self._spawn(beside_tracking=False)
+        else:
+            self._fork(loaded)
 
-    def _start(self, *, beside_tracking: bool) -> None:
-        context = get_context("spawn")  # the bus has threads, which a fork would not survive
-        self._connection, theirs = context.Pipe()
+    def _fork(self, loaded: Loaded) -> None:
+        gc.freeze()  # a collection writes to each object that it looks at, which would end the sharing
+        self._connection, theirs = Pipe()
+        arguments = theirs, self._connection, self._sensor, loaded
+        self._start(get_context("fork").Process(target=_serve_forked, args=arguments))
+        theirs.close()
+
+    def _spawn(self, *, beside_tracking: bool) -> None:
+        self._connection, theirs = Pipe()
         arguments = theirs, self._target, self._sensor, beside_tracking
-        name = f"search-{self._sensor.name}"
-        self._process = context.Process(target=serve, args=arguments, name=name, daemon=True)
         resource_tracker.ensure_running()  # its start would unblock the signals again
+        self._start(get_context("spawn").Process(target=serve, args=arguments))
+        theirs.close()
+
+    def _start(self, process: BaseProcess) -> None:
+        self._process = process
+        process.name, process.daemon = f"search-{self._sensor.name}", True
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)  # the process inherits it
         try:
-            self._process.start()
+            process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
         self._is_ready = self._is_busy = False
         self._next: bytes | None = None
         self._unwanted_s: float | None = None
@@ -137,7 +176,7 @@ class SearchProcess:
     def _restart(self) -> None:
         """Start the process again, with the search that waits."""
         waiting, self._again_s = self._next, None
-        self._start(beside_tracking=True)
+        self._spawn(beside_tracking=True)
         self._next = waiting
 
     def _give_up(self) -> Found:
@@ -162,18 +201,35 @@ def serve(
         sensor: configuration of the sensor.
         beside_tracking: whether the start has the lower priority too.
     """
-    for each in _STOPS:
-        signal.signal(each, signal.SIG_IGN)  # the estimator ends this process
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
+    _ignore_stops()
     if beside_tracking:
         os.nice(NICENESS)
     target = load_target(target_name)
-    methods = known = None
     setup = kind_methods(sensor).setup(sensor, None)
-    if setup is not None:
-        methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
+    methods = None if setup is None else ready_methods(sensor, target, setup)
     if not beside_tracking:
         os.nice(NICENESS)
+    _search_on(connection, sensor, Loaded(target, methods, setup))
+
+
+def _serve_forked(connection: Connection, theirs: Connection, sensor: SensorInput, loaded: Loaded) -> None:
+    signal.set_wakeup_fd(-1)  # a signal to this process must not wake the estimator
+    _ignore_stops()
+    theirs.close()  # the estimator's end; with a copy of it, its end would not be noticed
+    os.nice(NICENESS)
+    gc.enable()
+    _search_on(connection, sensor, loaded)
+
+
+def _ignore_stops() -> None:
+    """Leave signals to the estimator, which ends this process."""
+    for each in _STOPS:
+        signal.signal(each, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
+
+
+def _search_on(connection: Connection, sensor: SensorInput, loaded: Loaded) -> None:
+    target, methods, known = loaded.target, loaded.methods, pickle.dumps(loaded.setup)
     with suppress(EOFError, OSError):
         connection.send_bytes(_READY)
         while True:
@@ -184,6 +240,12 @@ def serve(
                 methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
             with unless(connection.poll):  # whatever is sent during a search cancels it
                 connection.send_bytes(packed(_found(search, methods)))
+
+
+def native_threads() -> int | None:
+    """Return the number of threads of this process, those of libraries included; None if it is not known."""
+    tasks = Path("/proc/self/task")
+    return len(list(tasks.iterdir())) if tasks.is_dir() else None
 
 
 def _found(search: Search, methods: Methods) -> Found:

@@ -1,6 +1,7 @@
 """``rpod run`` from its arguments to its exit code."""
 
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,7 +58,7 @@ def run_command(
         return _fail(error, EXIT_FAILURE)
     try:
         with Progress(quiet=as_json) as progress:
-            play(scenario, folder, speed=pace, progress=progress, view=view, pki=pki)
+            play(scenario, folder, speed=pace, progress=progress, view=view, pki=pki, meanwhile=_load_report)
             progress.say("writing the report")
             paths = _report(folder)
     except (InterruptedRunError, KeyboardInterrupt):
@@ -72,9 +73,14 @@ def run_command(
     return EXIT_OK
 
 
+def _load_report() -> None:
+    """Load what writes the report, which takes a second that the start of the services would wait for."""
+    with suppress(ImportError):  # told when the report is written
+        import rpod_analysis.report  # noqa: F401, PLC0415
+
+
 def _report(folder: RunFolder) -> "ReportPaths":
     """Write the report of a run. Raises ``RunError``."""
-    # loaded in a second, which the start of the services would wait for
     from rpod_analysis import AnalysisError  # noqa: PLC0415
     from rpod_analysis.report import write_report  # noqa: PLC0415
 

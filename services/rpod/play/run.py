@@ -4,11 +4,11 @@ import json
 import logging
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any, Self
 
 from rpod import __version__
@@ -86,10 +86,18 @@ def play(
     progress: Progress,
     view: bool = False,
     pki: Path | None = None,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> None:
     """Play a scenario to its end and close the log.
 
-    ``view`` adds a live view; ``pki``, a folder of certificates, makes the bus secure.
+    Args:
+        scenario: the scenario.
+        folder: folder of the run.
+        speed: its speed.
+        progress: tells how far it is.
+        view: whether there is a live view.
+        pki: folder of certificates, which make the bus secure.
+        meanwhile: called in a thread while the services stop, which leaves the processors free.
 
     Raises:
         ServiceDiedError: a service ended too early; the log is closed nevertheless.
@@ -120,6 +128,7 @@ def play(
             except InterruptedRunError:
                 _stop(node, services, facility)
                 raise
+            Thread(target=meanwhile, daemon=True).start()
             _stop(node, services, facility)
         services.stop("proxy")
         services.stop("router")
