@@ -57,6 +57,10 @@ class Role:
     reads_sensors: bool = False
     watches: bool = False
     """Whether it watches which publishers there are."""
+    is_sole: bool = False
+    """Whether it asks, before it starts, for another service of its name."""
+    sole_topics: tuple[Topic, ...] = ()
+    """Topics of which it watches whether others publish them."""
     serves: tuple[str, ...] = ()
     """Verbs that it serves beside those of all services."""
     asks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -73,6 +77,8 @@ ROLES: dict[str, Role] = {
         "publishes the truth, and the time in lockstep",
         sends_as=("motion",),
         reads=(STATUS,),
+        is_sole=True,
+        sole_topics=(TRUTH,),
         serves=("start",),
         asks=dict.fromkeys(("estimator", "logger", "emulator"), ("status",)),
     ),
@@ -82,6 +88,7 @@ ROLES: dict[str, Role] = {
         "emulates sensors",
         sends_as=("sensor", "emulator"),
         reads=(TRUTH, SUN, CLOCK),
+        is_sole=True,
         serves=("start", "fault"),
     ),
     "driver": Role(
@@ -96,6 +103,7 @@ ROLES: dict[str, Role] = {
         reads=(TF_STATIC, IMU, BODY, DIAGNOSTICS, CLOCK),
         reads_sensors=True,
         watches=True,
+        is_sole=True,
         serves=("reset",),
     ),
     "logger": Role(
@@ -105,6 +113,7 @@ ROLES: dict[str, Role] = {
         reads_estimates=True,
         reads_sensors=True,
         watches=True,
+        is_sole=True,
         serves=("start", "stop", "split", "fault"),
         asks=_STATUS_OF_ALL,
     ),
@@ -212,6 +221,16 @@ class Member:
     def watches(self) -> bool:
         """Whether it may watch which publishers there are."""
         return ROLES[self.role].watches
+
+    @property
+    def is_sole(self) -> bool:
+        """Whether it may ask for another service of its name."""
+        return ROLES[self.role].is_sole
+
+    @property
+    def sole_topics(self) -> tuple[Topic, ...]:
+        """Topics of which it may watch whether others publish them."""
+        return ROLES[self.role].sole_topics
 
     @property
     def asks_all(self) -> bool:

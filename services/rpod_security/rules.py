@@ -150,6 +150,8 @@ class Rules:
         read = self._read[member.name]
         caches = _under(read, _PUBLISHERS)
         tokens = [publisher_tokens(self._keys)] if member.watches else []
+        tokens += [publisher_tokens(self._keys, topic) for topic in member.sole_topics]
+        tokens += [token_pattern(self._keys, "NN", member.name)] if member.is_sole else []
         return [
             ("ingress", ("declare_subscriber",), read + caches),
             ("ingress", ("query",), _under(read, _CACHES)),
@@ -168,6 +170,8 @@ class Rules:
         ]
         if member.asks_all:
             asked.append(self._keys.control(ANY, "status", member.name))
+        elif member.is_sole:
+            asked.append(self._keys.control(member.name, "status", member.name))
         services_served = [self._service(each) for each in self._services if each.server == member.name]
         services_asked = [self._service(each) for each in self._services if each.client == member.name]
         return [

@@ -1,9 +1,10 @@
 """Two services of one name on one bus: the second does not start, or both say so."""
 
-from threading import Event
+from threading import Event, Timer
 
 import pytest
 from live_bus import daemon, first
+from secure_bus import secure_bus
 
 from rpod_emulator.daemon import run as emulate
 from rpod_logger.daemon import run as record
@@ -13,7 +14,8 @@ from rpod_runtime.errors import AlreadyRunningError
 from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.messages import read_diagnostics
-from rpod_schemas.topics import DIAGNOSTICS, TRUTH
+from rpod_schemas.rmw.wire import token_pattern
+from rpod_schemas.topics import DIAGNOSTICS, TRUTH, Namespace
 
 MOTION = {
     "target": "mockup",
@@ -51,6 +53,59 @@ def test_a_second_motion_service_or_emulator_of_the_name_does_not_start(bus, run
         assert first(inbox, works, TIMEOUT_S)
         with pytest.raises(AlreadyRunningError, match=f"another '{config.instance}' is at work on this bus"):
             run(config, version="test", stop=Event())
+
+
+@pytest.fixture(scope="module")
+def secure(tmp_path_factory):
+    with secure_bus(tmp_path_factory.mktemp("secure")) as bus:
+        yield bus
+
+
+@pytest.mark.parametrize(
+    ("run", "kind", "document"),
+    [(move, MotionServiceConfig, MOTION), (emulate, EmulatorConfig, EMULATOR)],
+    ids=["motion", "emulator"],
+)
+def test_on_a_secure_bus_a_second_one_does_not_start_either(request, secure, run, kind, document):
+    name = request.node.callspec.id
+    config = kind(bus=secure.bus(name), **document)
+    inbox = Inbox()
+    with secure.node("logger") as listener:
+        listener.subscribe(DIAGNOSTICS, inbox.put)
+        with daemon(run, config):
+            works = lambda one: any(item.name == name for item in read_diagnostics(one.decode()))  # noqa: E731
+            assert first(inbox, works, TIMEOUT_S)
+            stop = Event()
+            timer = Timer(15.0, stop.set)
+            timer.start()
+            with pytest.raises(AlreadyRunningError, match=f"another '{name}' is at work on this bus"):
+                run(config, version="test", stop=stop)
+            timer.cancel()
+
+
+def test_on_a_secure_bus_motion_beside_robots_and_two_loggers_say_so(secure, tmp_path):
+    inbox = Inbox()
+    with secure.node("view") as listener, secure.node("robots") as robots:
+        listener.subscribe(DIAGNOSTICS, inbox.put)
+        robots.publisher(TRUTH)
+        with daemon(move, MotionServiceConfig(bus=secure.bus("motion"), **MOTION)):
+            assert "another service publishes truth/odometry" in told(inbox, "motion")[1]
+        with (
+            daemon(record, LoggerConfig(bus=secure.bus("logger"), directory=tmp_path, name="one")),
+            daemon(record, LoggerConfig(bus=secure.bus("logger"), directory=tmp_path, name="two")),
+        ):
+            assert "another service has the name 'logger'" in told(inbox, "logger")[1]
+
+
+def test_on_a_secure_bus_a_service_sees_no_token_but_those_of_its_own_name(secure):
+    with secure.node("motion"), secure.client("motion") as same, secure.client("emulator") as other:
+        named = token_pattern(Namespace(), "NN", "motion")
+        seen = {}
+        for name, session in (("same", same), ("other", other)):
+            replies = [*session.liveliness().get(named), *session.liveliness().get("@ros2_lv/**")]
+            seen[name] = [str(reply.ok.key_expr) for reply in replies if reply.ok]
+    assert len(seen["same"]) == 1
+    assert seen["other"] == []
 
 
 def test_motion_beside_robots_that_publish_the_truth_says_so(bus):

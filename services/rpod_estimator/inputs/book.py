@@ -211,7 +211,7 @@ class SensorBook:
             return f"no {self._leading} for {time}, only other parts of its frames; look at its driver"
         if self._heard_s is None:
             return f"no frame yet in {time}; {self.instead or 'is its driver running?'}"
-        return f"no frame for {time}; look at its driver"
+        return f"no frame for {time}; look at its driver, and at the link to it"
 
 
 def unpaired(frame: GivenUp, leading: str) -> Loss:

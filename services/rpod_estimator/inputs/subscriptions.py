@@ -27,6 +27,7 @@ from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.sensor_data.drift_watch import DriftWatch
 from rpod_runtime.sensor_data.end_watch import EndWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
+from rpod_runtime.sensor_data.late_watch import LateWatch
 from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
 from rpod_runtime.sensor_data.step_watch import StepWatch
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -63,6 +64,7 @@ class Subscriptions:
         self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
         self._drifts = {sensor.name: DriftWatch() for sensor in config.sensors}
         self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
+        self._lates = {sensor.name: LateWatch(config.max_age_s) for sensor in config.sensors}
         self._steps = {
             sensor.name: StepWatch(config.integrity.clock_sigma_s, sensor.source.arrives_within_s)
             for sensor in config.sensors
@@ -204,7 +206,7 @@ class Subscriptions:
         stamp_ns = self._reader.stamp_ns(sensor, received)
         leads = part == self._reader.leading[sensor]
         if leads and not self._in_lockstep:
-            self._watch(sensor, stamp_ns, received.arrival_ns)
+            self._watch(sensor, stamp_ns, received)
         try:
             self._check_part(sensor, part, received, stamp_ns)
         except MessageRejectedError as error:
@@ -232,7 +234,7 @@ class Subscriptions:
         """Check the stamp of a part of a frame."""
         assembler = self._reader.assemblers[sensor]
         if part not in assembler.lasting:
-            self._check_freshness(received, stamp_ns)
+            self._check_freshness(sensor, received, stamp_ns)
         if part == self._reader.leading[sensor] and not self._in_lockstep:
             self._check_step(sensor, received, stamp_ns)
         if stamp_ns == assembler.done_ns and part in assembler.required:
@@ -254,8 +256,15 @@ class Subscriptions:
         bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
-    def _watch(self, sensor: str, stamp_ns: int, arrival_ns: int) -> None:
-        watch = self._watches[sensor]
+    def _watch(self, sensor: str, stamp_ns: int, received: Received) -> None:
+        watch, arrival_ns = self._watches[sensor], received.arrival_ns
+        self._lates[sensor].add(
+            stamp_ns,
+            arrival_ns,
+            arrival_s=received.arrival_s,
+            sent_ns=received.attachment.stamp_ns,
+            source=received.peer,
+        )
         watch.add(stamp_ns, arrival_ns)
         self._node.health.measure(f"stamp_age_s/{sensor}", watch.age_s)
         if np.isfinite(watch.drift_ppm):
@@ -294,7 +303,7 @@ class Subscriptions:
             if self._newest.put(sensor, frame):
                 self._node.health.count(f"dropped/{sensor}")
 
-    def _check_freshness(self, received: Received, stamp_ns: int) -> None:
+    def _check_freshness(self, sensor: str, received: Received, stamp_ns: int) -> None:
         """Check a stamp against the time of arrival: the estimator's own delay does not count."""
         now_ns, clock = received.arrival_ns, self._node.clock
         if isinstance(clock, BusClock):
@@ -302,9 +311,9 @@ class Subscriptions:
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > self._config.max_age_s:
+            why = self._lates[sensor].why() or clock_hint(-age_s, stamp_ns)
             raise MessageRejectedError(
-                Reason.LATE,
-                f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {clock_hint(-age_s, stamp_ns)}",
+                Reason.LATE, f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {why}"
             )
         if age_s < -self._config.max_future_s:
             raise MessageRejectedError(

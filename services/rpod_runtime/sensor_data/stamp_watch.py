@@ -80,4 +80,7 @@ def clock_hint(ahead_s: float, stamp_ns: int) -> str:
         return "is it TAI? Synchronise the sensor to UTC, or set source.clock_offset_s of the sensor to 37"
     if is_local_time(ahead_s):
         return "is it local time? Let the driver stamp in UTC"
-    return "check the sensor's clock, or set source.clock_offset_s of the sensor"
+    clock = "check the sensor's clock, or set source.clock_offset_s of the sensor"
+    return (
+        clock if ahead_s > 0.0 else f"{clock}; if that is right, look at its driver and its link for a delay"
+    )

@@ -96,7 +96,7 @@ def test_of_a_slow_sensor_the_last_three_frames_are_judged():
 
 def test_frames_before_a_silence_do_not_count():
     book, now_s = book_after([LATE] * 30)
-    assert book.state(now_s + 3.0).text == "pmd: no frame for 3 s; look at its driver"
+    assert book.state(now_s + 3.0).text == "pmd: no frame for 3 s; look at its driver, and at the link to it"
     book.note_arrival(now_s + 3.0)
     book.use(now_s + 3.0)
     assert book.state(now_s + 3.1).level == Health.OK
@@ -186,7 +186,7 @@ def test_in_lockstep_a_sensor_is_silent_by_the_time_of_the_bus(caplog):
             books.books["lidar"].note_arrival(now_s, bus_s)  # once a second
         books.report(Mode.ACQUIRING, now_s, bus_s)
     told = [record.getMessage() for record in caplog.records]
-    assert told == ["pmd: no frame for 2 s of bus time; look at its driver"]
+    assert told == ["pmd: no frame for 2 s of bus time; look at its driver, and at the link to it"]
 
 
 def test_in_lockstep_a_sensor_that_never_sends_is_told_by_the_time_of_the_bus():

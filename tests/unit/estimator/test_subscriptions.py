@@ -413,6 +413,26 @@ def test_frames_that_are_not_used_are_told_with_figures_and_remedy(
     assert len(lines) == (level == Health.ERROR)
 
 
+def test_a_burst_from_a_link_that_held_frames_is_told_as_such_and_not_as_the_clock():
+    start_s, bench = monotonic(), Bench()
+    for number in range(40):
+        stamp_ns = NOW_NS + number * SECOND_NS // 16
+        held_s = 0.01 if number < 16 else max(4.0 - number / 16, 0.01)
+        how = {
+            "arrival_ns": stamp_ns + round(held_s * SECOND_NS),
+            "arrival_s": start_s + number / 16 + held_s,
+        }
+        bench.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, "pmd_optical", CAMERA), **how)
+        depth_m = DEPTH_M + np.float32(1e-3 * number)
+        bench.send(DEPTH.of("pmd"), write_image(stamp_ns, "pmd_optical", depth_m, "32FC1"), **how)
+        reasons = [arrived.reason for arrived in bench.arrived()]
+        if number >= 16:
+            (reason,) = reasons
+            assert reason.startswith("late: ")
+            assert "it was held for" in reason
+            assert "clock_offset_s" not in reason
+
+
 def test_what_a_driver_says_of_ptp_and_trigger_is_repeated():
     bench = Bench()
     sync = SensorSync(ptp="unlocked", ptp_offset_s=0.0012, trigger="hardware", trigger_missed=3)

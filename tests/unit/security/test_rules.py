@@ -11,6 +11,7 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.rights import RightsConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.rmw.wire import publisher_tokens, token_pattern
 from rpod_schemas.topics import SENT_BY, TOPICS, TRUTH_TOPICS, Namespace
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
@@ -224,3 +225,34 @@ def test_the_other_host_is_known_by_its_router_and_link_and_has_its_members():
     assert [each["id"] for each in rules["subjects"]] == ["logger", "link"], "who is there has no rights here"
     alone = RightsConfig.model_validate({"members": {"logger": {"role": "logger"}}})
     assert other_host(alone, "router", issued) is None
+
+
+ASKS_FOR_ITS_NAME = {"motion", "emulator", "estimator", "logger"}
+
+
+@pytest.mark.parametrize("name", sorted({member.name for member in members()}))
+def test_who_has_to_be_alone_may_ask_for_another_of_its_own_name_and_nobody_else(name):
+    rules = rules_of()
+    for other in members():
+        named = token_pattern(KEYS, "NN", other.name)
+        for flow, message in (
+            ("ingress", "liveliness_query"),
+            ("ingress", "declare_liveliness_subscriber"),
+            ("egress", "liveliness_token"),
+        ):
+            may = other.name == name and name in ASKS_FOR_ITS_NAME
+            assert allows(rules, name, flow, message, named) == may
+    if name in ASKS_FOR_ITS_NAME:
+        status = KEYS.control(name, "status", name)
+        assert allows(rules, name, "ingress", "query", status)
+        assert allows(rules, name, "egress", "reply", status)
+        assert not allows(rules, name, "ingress", "query", KEYS.control(name, "shutdown", name))
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_motion_watches_the_publishers_of_the_truth_alone(topic):
+    (truth,) = [each for each in TOPICS if each.name == "truth/odometry"]
+    tokens = publisher_tokens(KEYS, topic)
+    for flow, message in (("ingress", "declare_liveliness_subscriber"), ("egress", "liveliness_token")):
+        assert allows(rules_of(), "motion", flow, message, tokens) == (topic == truth)
+        assert not allows(rules_of(), "emulator", flow, message, tokens)
