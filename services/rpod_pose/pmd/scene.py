@@ -145,7 +145,7 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
     return found
 
 
-def _dim(amplitude: NDArray[np.generic], shown: NDArray[np.bool_], share: float) -> float:
+def _dim(amplitude: NDArray[np.uint16], shown: NDArray[np.bool_], share: float) -> float:
     """Return the amplitude above which a pixel is lit in any case: a share of the way from sky to target.
 
     The sky of a camera with a pedestal, or with lens glare, is not dark.
