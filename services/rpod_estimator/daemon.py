@@ -1,6 +1,5 @@
 """The estimator daemon: connects the estimator to the bus and the clock."""
 
-import gc
 import logging
 import time
 from collections.abc import Mapping
@@ -41,8 +40,6 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
     )
     threads = native_threads()
     with ExitStack() as stack:
-        gc.disable()  # nothing of what is loaded is garbage; collections would take a tenth of the time
-        stack.callback(gc.enable)
         target = load_target(config.target)
         workers: dict[str, Worker] = {}
         live = LiveSearches(workers)
@@ -58,7 +55,6 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
 
         # in lockstep, results must not depend on the machine's speed
         estimator = Estimator(config, target, open_searches if config.time_source == "wall" else None)
-        gc.enable()
         live.await_workers(stop)
         _serve(config, estimator, live, target, version=version, stop=stop)
 

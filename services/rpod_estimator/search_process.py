@@ -217,7 +217,6 @@ def _serve_forked(connection: Connection, theirs: Connection, sensor: SensorInpu
     _ignore_stops()
     theirs.close()  # the estimator's end; with a copy of it, its end would not be noticed
     os.nice(NICENESS)
-    gc.enable()
     _search_on(connection, sensor, loaded)
 
 

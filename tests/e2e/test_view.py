@@ -75,7 +75,8 @@ def test_without_rerun_one_line_says_how_to_get_it(log):
 def test_a_run_whose_view_is_killed_goes_on_and_leaves_nothing_of_it(start, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    facility = start("envisat-station", "--duration", "6", "--view")  # light enough for a loaded machine
+    # light enough for a loaded machine, and long enough for a view that starts more slowly than the services
+    facility = start("envisat-station", "--duration", "25", "--view")
     facility.stderr.wait_for("view: shown in http://127.0.0.1:")
     facility.await_services()
     (view,) = [

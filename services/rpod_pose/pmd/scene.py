@@ -148,7 +148,7 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
 def _dim(amplitude: NDArray[np.uint16], shown: NDArray[np.bool_], share: float) -> float:
     """Return the amplitude above which a pixel is lit in any case: a share of the way from sky to target.
 
-    The sky of a camera with a pedestal, or with lens glare, is not dark.
+    The sky is not dark if amplitudes have a pedestal. Where it is as bright as the target, it tells nothing.
 
     Args:
         amplitude: amplitude of all pixels, shape (H, W).

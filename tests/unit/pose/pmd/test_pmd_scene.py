@@ -107,7 +107,7 @@ def test_the_zeros_of_a_sky_without_noise_are_no_glint():
 
 @pytest.mark.parametrize("noise", [0, 1])
 def test_a_sky_that_is_as_bright_as_dark_parts_is_not_lit(noise):
-    """Eight bits with a pedestal, or lens glare: the darkest part has 60 counts, the sky 20."""
+    """Eight bits with a pedestal: the darkest part has 60 counts, the sky 20."""
     depth_m, lost = without_middle()
     amplitude = shade(60, sky=20 + SKY % (noise + 1))
     result = scene(depth_m, np.where(lost, 40, amplitude).astype(np.uint8))
