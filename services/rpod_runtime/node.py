@@ -88,7 +88,7 @@ class Node(Asker):
         self._publishers: list[Publisher] = []
         self.parameters = Parameters({})
         """The node's parameters for ROS 2 tools, unless the configuration leaves them out."""
-        self._clock_sinks: list[Callable[[Received], None]] = []
+        self._clock_sinks: list[Callable[[Received], object]] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -150,7 +150,12 @@ class Node(Asker):
         return publisher
 
     def subscribe(
-        self, topic: Topic, sink: Callable[[Received], None], *, recover: bool = False, history: bool = False
+        self,
+        topic: Topic,
+        sink: Callable[[Received], object],
+        *,
+        recover: bool = False,
+        history: bool = False,
     ) -> None:
         """Subscribe to a topic; ``sink`` runs in the bus's thread and must only enqueue.
 
@@ -165,7 +170,7 @@ class Node(Asker):
             self.watch_tokens(publisher_tokens(self._keys, topic), lambda token, _: tell(token))
 
     def subscribe_all(
-        self, patterns: Sequence[Topic], sink: Callable[[Received], None], *, recover: bool = True
+        self, patterns: Sequence[Topic], sink: Callable[[Received], object], *, recover: bool = True
     ) -> None:
         """Subscribe to all topics that match one of the patterns (``*`` stands for a part of the name).
 
@@ -224,7 +229,7 @@ class Node(Asker):
         self.watch_tokens(publisher_tokens(self._keys), take)
 
     def _subscribe(
-        self, topic: Topic, sink: Callable[[Received], None], *, recover: bool, history: bool
+        self, topic: Topic, sink: Callable[[Received], object], *, recover: bool, history: bool
     ) -> None:
         past = topic.kept if history else 0
         self._declare(
@@ -235,7 +240,7 @@ class Node(Asker):
         )
 
     def listen(
-        self, key_expression: str, sink: Callable[[Received], None], *, accept: Callable[[str], bool]
+        self, key_expression: str, sink: Callable[[Received], object], *, accept: Callable[[str], bool]
     ) -> None:
         """Subscribe, with recovery, to the keys that ``accept`` accepts; they need not be ROS topics.
 
@@ -248,7 +253,7 @@ class Node(Asker):
 
         self._declare(key_expression, take, kept=SENSOR_CACHE, recover=True)
 
-    def follow_clock(self, sink: Callable[[Received], None]) -> None:
+    def follow_clock(self, sink: Callable[[Received], object]) -> None:
         """Deliver each message of ``clock`` after the node's clock is set; ``sink`` must only enqueue."""
         self._clock_sinks.append(sink)
 

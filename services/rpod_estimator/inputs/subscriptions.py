@@ -70,6 +70,7 @@ class Subscriptions:
             for sensor in config.sensors
         }
         self._mounts: set[str] = set()
+        self._ended = False
         self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
@@ -95,7 +96,7 @@ class Subscriptions:
             # A live message that was missed would be too old when it is recovered; in lockstep all services
             # wait.
             lasting = self._reader.lasting(topic)
-            node.subscribe(topic, self._waiting.put, recover=self._in_lockstep, history=lasting)
+            node.subscribe(topic, self._put_part, recover=self._in_lockstep, history=lasting)
 
     def _leave(self, session: str, topic: Topic) -> None:
         is_last = self._published.gone(session, topic)
@@ -138,10 +139,27 @@ class Subscriptions:
         return self._next()
 
     def rest(self) -> Iterator[Arrived]:
-        """Yield the waiting frames: the refused ones first, then the newest complete frame of each sensor."""
+        """Yield the waiting frames: the refused ones first, then the newest complete frame of each sensor.
+
+        Frames that arrive from now on are dropped, and counted.
+        """
+        self._ended = True
         self._take_in(0.0)
+        self._release()
         while (arrived := self._next()) is not None:
             yield arrived
+
+    def _put_part(self, received: Received) -> None:
+        """Enqueue a part; count the frame that is dropped for want of room, or of time."""
+        dropped = received if self._ended else self._waiting.put(received)
+        if dropped is not None:
+            sensor, part = self._reader.parts[dropped.topic.name]
+            if part == self._reader.leading[sensor]:
+                self._node.health.count(f"dropped/{sensor}")
+
+    def _release(self) -> None:
+        for sensor, assembler in self._reader.assemblers.items():
+            self._put(sensor, assembler.release())
 
     def _take_in(self, timeout_s: float) -> None:
         parts = self._waiting.wait(timeout_s)
@@ -149,8 +167,7 @@ class Subscriptions:
         with self._lock:
             self._take_all(parts)
         if timeout_s and not parts and not self._in_lockstep:
-            for sensor, assembler in self._reader.assemblers.items():
-                self._put(sensor, assembler.release())
+            self._release()
         for name, (sensor, part) in self._reader.parts.items():
             if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:
                 refused = self._node.health.rejection(name)

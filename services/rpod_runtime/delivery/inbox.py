@@ -51,12 +51,15 @@ class Inbox:
         self._arrival = Condition()
         self.overflowed = 0
 
-    def put(self, received: Received) -> None:
-        """Enqueue a message."""
+    def put(self, received: Received) -> Received | None:
+        """Enqueue a message; return the oldest one if it had to be dropped."""
         with self._arrival:
-            self.overflowed += len(self._messages) == self._messages.maxlen
+            is_full = len(self._messages) == self._messages.maxlen
+            dropped = self._messages[0] if is_full else None
+            self.overflowed += is_full
             self._messages.append(received)
             self._arrival.notify()
+        return dropped
 
     def wait(self, timeout_s: float) -> list[Received]:
         """Return all queued messages in order of arrival; wait up to the timeout for the first one."""

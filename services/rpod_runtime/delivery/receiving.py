@@ -31,7 +31,7 @@ _REPLAYED = zenoh.CongestionControl.BLOCK
 _OTHERS = "others"
 """Topic under which messages of too many keys are counted."""
 
-Sink = Callable[[Received], None]
+Sink = Callable[[Received], object]
 
 
 class Delivery:

@@ -232,6 +232,7 @@ def test_at_the_end_what_waits_is_handed_over_and_what_comes_then_is_not():
     assert next(rest).sensor == "lidar"
     bench.send_scan(NOW_NS)
     assert [frame.sensor for frame in rest] == ["pmd"]
+    assert bench.counters["dropped/lidar"] == 1
 
 
 @pytest.mark.parametrize(("time_source", "recovers"), [("wall", False), ("clock", True)])
@@ -265,6 +266,14 @@ def test_a_flood_of_images_does_not_wash_the_transforms_away():
     assert arrived.measurement is not None
     assert arrived.stamp_ns == NOW_NS + 299
     assert bench.counters["overflowed/inbox"] == 900 - 512
+    assert bench.counters["dropped/pmd"] == 299, "all but the one that is left, whether it had room or not"
+
+
+def test_a_frame_that_still_waits_for_its_amplitude_is_processed_at_the_end():
+    bench = Bench()
+    bench.send_frame(NOW_NS, amplitude=False)
+    (arrived,) = bench.inputs.rest()
+    assert arrived.measurement.data.amplitude is None
 
 
 # --- refused for their stamps ---
