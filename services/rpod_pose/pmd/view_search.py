@@ -18,10 +18,11 @@ pose, the one that explains the frame clearly better is taken, and the covarianc
 two, as far as both are likely. The weights of the poses that are left follow from their likelihoods in the
 whole frame: all its pixels, with the brightness of each face free (``joint.brightness_fit``). The coarse
 pixels of the search do not show the details that distinguish turned poses, and a user knows the materials
-only roughly. An alignment that leads away from a pose that explains the frame much better is refused: it
-ended in a false minimum. If a refused pose explains the frame much better than the accepted ones, none is
-accepted: the right pose may not be among them. If the tracker refuses all likely poses, the next ones are
-tried in turn.
+only roughly. An alignment that leads away from a pose that explains the frame better is refused: it ended in
+a false minimum. If a refused pose explains the frame better than the accepted ones, none is accepted: the
+right pose may not be among them. The coarse pixels must say so clearly, and the whole frame must agree: few
+coarse pixels on an outline decide little, and their brightness is that of the file. If the tracker refuses
+all likely poses, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
@@ -159,13 +160,16 @@ class ViewSearch:
             likely = pose.fit.loss <= tuning.rival_losses * poses[0].fit.loss
             if likely or not any(each.is_accepted for each in aligned):
                 aligned.append(self._aligned(task, fitter, pose, per_loss))
+        if any(each.is_accepted for each in aligned):
+            turned = self._turned(task, fitter, aligned)
+            aligned += [self._aligned(task, fitter, pose, per_loss) for pose in turned]
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
             return task.failed(aligned[0].registration)
         logs = self._tracker.log_likelihoods(task.frame, [each.registration for each in believed])
         believed, logs = self._merged(believed, logs)
         best, least = believed[0], tuning.ambiguous_weight
-        if better := self._better(best, aligned, per_loss):
+        if better := self._better(task.frame, best, aligned, per_loss):
             reason = f"a pose that is refused explains the frame better than those that are not: {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
         found = rivals(believed, logs, self._model.turns.exact)
@@ -207,7 +211,24 @@ class ViewSearch:
         spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
         return spread
 
-    def _better(self, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
+    def _turned(self, task: _Task, fitter: PmdFitter, aligned: list[_Aligned]) -> list[Pose]:
+        """Return the near-symmetries of the best accepted pose that were not aligned, and may be rivals.
+
+        The search leaves them out where the file's materials speak for other poses, so the shape alone says
+        whether they may be rivals.
+        """
+        tuning, turns = self._tuning, self._model.turns
+        best = next(each for each in aligned if each.is_accepted)
+        shape = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=False)
+        most = tuning.rival_losses * shape.fit(best.R, best.t).loss
+        attitudes = best.R @ turns.all[: turns.declared]
+        known = turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1)
+        if task.around is not None:
+            known |= ~within(attitudes.astype(np.float32), task.around, tuning.near_deg)
+        likely = (R for R in attitudes[~known] if shape.fit(R, best.t).loss <= most)
+        return [Pose(R, best.t, fitter.fit(R, best.t)) for R in likely]
+
+    def _better(self, frame: PmdFrame, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
 
         Empty if there is none. The loss of the best after its alignment is compared with that of the other
@@ -217,13 +238,29 @@ class ViewSearch:
         gains = per_loss * np.array([best.losses[1] - each.losses.min() for each in refused])
         near = self._model.turns.close(matrices([best]), matrices(refused), self._tuning.distinct_deg)[0]
         better = gains > np.where(near, MOST_DROP_LOG, logit(self._tuning.ambiguous_weight))
-        return refused[int(better.argmax())].registration.belief.reason if better.any() else ""
+        for each in (refused[index] for index in np.flatnonzero(better)):
+            if self._explains_better(frame, PoseArrays(each.R, each.t), best.registration):
+                return each.registration.belief.reason
+        return ""
+
+    def _explains_better(self, frame: PmdFrame, pose: PoseArrays, found: Registration) -> bool:
+        """Return whether a pose explains the whole frame better than a registered one.
+
+        It is where the depth shows it, with the bias of the ranges or without.
+        """
+        sight = pose.t / float(np.linalg.norm(pose.t))
+        others = [
+            replace(found, T_sensor_target=pose_of(pose.R, pose.t - bias_m * sight), range_bias_m=bias_m)
+            for bias_m in (0.0, found.range_bias_m)
+        ]
+        logs = self._tracker.log_likelihoods(frame, [found, *others])
+        return bool(logs[1:].max() > logs[0])
 
     def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> _Aligned:
         """Return a pose that the search found, aligned by the tracker.
 
-        The alignment is contradicted if it led from a pose that explains the frame to one that does not: a
-        log likelihood is ``per_loss`` times a loss.
+        The alignment is contradicted if it led from a pose that explains the frame to one that does not, by
+        the coarse pixels and by the whole frame. A log likelihood is ``per_loss`` times a loss.
         """
         found = self._registered(task, pose)
         if found.T_sensor_target is None:
@@ -235,7 +272,8 @@ class ViewSearch:
         if found.continues_track and per_loss * (losses[1] - losses[0]) > MOST_DROP_LOG:
             # the outline shows the pose itself, the depth shows it with the bias
             worse = min(losses[1], fitter.fit(R, t).loss)
-            if per_loss * (worse - losses[0]) > MOST_DROP_LOG:
+            drops = per_loss * (worse - losses[0]) > MOST_DROP_LOG
+            if drops and self._explains_better(task.frame, PoseArrays(pose.R, pose.t), found):
                 times = worse / losses[0]
                 reason = (
                     f"the alignment leads away from a pose that explains the frame {times:.1f} times better"
