@@ -86,6 +86,8 @@ class _Aligned:
     registration: Registration
     losses: FloatArray
     """Losses in the frame before and after the alignment, shape (2,)."""
+    start: PoseArrays
+    """Pose of the search before the alignment."""
 
     @property
     def is_accepted(self) -> bool:
@@ -239,18 +241,20 @@ class ViewSearch:
         near = self._model.turns.close(matrices([best]), matrices(refused), self._tuning.distinct_deg)[0]
         better = gains > np.where(near, MOST_DROP_LOG, logit(self._tuning.ambiguous_weight))
         for each in (refused[index] for index in np.flatnonzero(better)):
-            if self._explains_better(frame, PoseArrays(each.R, each.t), best.registration):
+            if self._explains_better(frame, (each.start, PoseArrays(each.R, each.t)), best.registration):
                 return each.registration.belief.reason
         return ""
 
-    def _explains_better(self, frame: PmdFrame, pose: PoseArrays, found: Registration) -> bool:
-        """Return whether a pose explains the whole frame better than a registered one.
+    def _explains_better(self, frame: PmdFrame, poses: Sequence[PoseArrays], found: Registration) -> bool:
+        """Return whether one of the poses explains the whole frame better than a registered one.
 
-        It is where the depth shows it, with the bias of the ranges or without.
+        They are where the depth shows them, with the bias of the ranges or without.
         """
-        sight = pose.t / float(np.linalg.norm(pose.t))
         others = [
-            replace(found, T_sensor_target=pose_of(pose.R, pose.t - bias_m * sight), range_bias_m=bias_m)
+            replace(
+                found, T_sensor_target=pose_of(R, t - bias_m * t / np.linalg.norm(t)), range_bias_m=bias_m
+            )
+            for R, t in poses
             for bias_m in (0.0, found.range_bias_m)
         ]
         logs = self._tracker.log_likelihoods(frame, [found, *others])
@@ -262,9 +266,9 @@ class ViewSearch:
         The alignment is contradicted if it led from a pose that explains the frame to one that does not, by
         the coarse pixels and by the whole frame. A log likelihood is ``per_loss`` times a loss.
         """
-        found = self._registered(task, pose)
+        found, start = self._registered(task, pose), PoseArrays(pose.R, pose.t)
         if found.T_sensor_target is None:
-            return _Aligned(pose.R, pose.t, found, np.array((pose.fit.loss, np.inf)))
+            return _Aligned(*start, found, np.array((pose.fit.loss, np.inf)), start)
         R, t = PoseArrays.of(found.T_sensor_target)
         # where the depth shows the pose, with the bias of the ranges that the tracker found
         shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
@@ -273,13 +277,13 @@ class ViewSearch:
             # the outline shows the pose itself, the depth shows it with the bias
             worse = min(losses[1], fitter.fit(R, t).loss)
             drops = per_loss * (worse - losses[0]) > MOST_DROP_LOG
-            if drops and self._explains_better(task.frame, PoseArrays(pose.R, pose.t), found):
+            if drops and self._explains_better(task.frame, (start,), found):
                 times = worse / losses[0]
                 reason = (
                     f"the alignment leads away from a pose that explains the frame {times:.1f} times better"
                 )
                 found = replace(found, belief=replace(contradicted(reason), evidence=found.belief.evidence))
-        return _Aligned(R, t, found, losses)
+        return _Aligned(R, t, found, losses, start)
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether a pose near this one may be the target's, by what the whole frame shows there."""

@@ -161,6 +161,13 @@ class Judging(Uncomparing):
         return Registration(Source.PMD_JOINT, T, belief, covariance=1e-6 * np.eye(6))
 
 
+class Oblique(Judging):
+    """A judging tracker to which a pose is the likelier, the nearer its attitude is to the true one."""
+
+    def log_likelihoods(self, _, found):
+        return -np.array([attitude_error_deg(OBLIQUE, each.T_sensor_target) for each in found])
+
+
 def rear_face() -> PmdFrame:
     depth_m = seen("mockup", REAR).depth_m
     return frame_of(np.where(depth_m < 3.4, depth_m, np.nan))
@@ -174,36 +181,32 @@ def test_rivals_that_the_alignment_leads_to_one_pose_are_that_pose():
     assert (result.outcome, len(result.hypotheses)) == (Outcome.ACCEPTED, 1)
 
 
-def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_frame_better():
-    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), Judging(refuses=OBLIQUE))
+@pytest.mark.parametrize("tracker", [Oblique, Judging])
+def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_whole_frame_better(tracker):
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker(refuses=OBLIQUE))
     result = search.acquire(seen("mockup", OBLIQUE))
-    assert result.outcome is Outcome.FAILED
-    assert result.belief.reason.endswith(
-        "explains the frame better than those that are not: edges are elsewhere"
-    )
+    why = "a pose that is refused explains the frame better than those that are not: edges are elsewhere"
+    assert (result.belief.reason == why) is (tracker is Oblique)
+    assert (result.outcome is Outcome.FAILED) is (tracker is Oblique)
 
 
-def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_frame_is_not_accepted():
-    result = ViewSearch(
-        PmdAcquisitionConfig(),
-        target("mockup"),
-        Judging(
-            to=make_pose(
-                rotation=Rotation.from_rotvec((0.2, 0.0, 0.0)) * OBLIQUE.rotation,
-                translation_m=OBLIQUE.translation,
-            )
-        ),
-    ).acquire(seen("mockup", OBLIQUE))
-    assert result.outcome is Outcome.FAILED
-    assert "leads away from a pose that explains the frame" in result.belief.reason
+@pytest.mark.parametrize("tracker", [Oblique, Judging])
+def test_an_alignment_that_leads_away_from_a_pose_that_explains_the_whole_frame_is_not_accepted(tracker):
+    away = Rotation.from_rotvec((0.2, 0.0, 0.0)) * OBLIQUE.rotation
+    to = make_pose(rotation=away, translation_m=OBLIQUE.translation)
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker(to=to))
+    result = search.acquire(seen("mockup", OBLIQUE))
+    assert (result.outcome is Outcome.FAILED) is (tracker is Oblique)
+    assert ("leads away from a pose that explains the frame" in result.belief.reason) is (tracker is Oblique)
 
 
 def aligned_pose(turn_deg: float, losses: tuple[float, float], belief: Belief | None = None) -> _Aligned:
     """Return a pose turned from the oblique one, with its losses before and after its alignment."""
-    T = make_pose(rotation=Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation)
+    away = Rotation.from_rotvec((np.radians(turn_deg), 0.0, 0.0)) * OBLIQUE.rotation
+    T = make_pose(rotation=away, translation_m=OBLIQUE.translation)
     registration = Registration(Source.PMD_JOINT, T, belief or Belief(), covariance=np.zeros((6, 6)))
     R, t = PoseArrays.of(T)
-    return _Aligned(R, t, registration, np.array(losses))
+    return _Aligned(R, t, registration, np.array(losses), PoseArrays(R, t))
 
 
 def test_of_alignments_beside_each_other_one_that_explains_the_frame_clearly_better_is_taken():
@@ -229,12 +232,25 @@ def test_alignments_that_end_beside_each_other_and_explain_the_frame_alike_are_i
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "gain", "better"), [(2.0, 5.0, False), (2.0, 10.0, True), (90.0, 5.0, True)]
+    ("turn_deg", "gain", "tracker", "better"),
+    [
+        (2.0, 5.0, Judging, False),
+        (2.0, 10.0, Judging, True),
+        (90.0, 5.0, Judging, True),
+        (90.0, 5.0, Oblique, False),
+    ],
 )
-def test_a_refused_pose_beside_the_best_must_be_better_than_noise_makes_it(turn_deg, gain, better):
+def test_a_refused_pose_must_be_better_than_noise_makes_it_and_by_the_whole_frame_too(
+    turn_deg, gain, tracker, better
+):
     best = aligned_pose(0.0, (100.0, 100.0))
     refused = aligned_pose(turn_deg, (100.0 - gain, 200.0), contradicted("it led away"))
-    assert searching("mockup")._better(best, [best, refused], 1.0) == ("it led away" if better else "")
+    judge = tracker()
+    if tracker is Judging:
+        judge.log_likelihoods = lambda _, found: np.arange(len(found))
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), judge)
+    found = search._better(seen("mockup", OBLIQUE), best, [best, refused], 1.0)
+    assert found == ("it led away" if better else "")
 
 
 class Alike:
@@ -247,23 +263,22 @@ class Alike:
         return PmdFit(100.0, pixels=1000)
 
 
-def test_rivals_are_weighed_by_the_whole_frame(monkeypatch):
+def test_rivals_and_near_symmetries_are_weighed_by_the_whole_frame(monkeypatch):
     turned = OBLIQUE * make_pose(rotation=Rotation.from_rotvec([0.0, 0.0, np.pi]))
     poses = [Pose(*PoseArrays.of(T), Alike().fit()) for T in (turned, OBLIQUE)]
     monkeypatch.setattr(view_search, "PmdFitter", Alike)
     monkeypatch.setattr(view_search.FrameSearch, "search", lambda *_: poses)
     tracker, frame = Judging(), seen("mockup", OBLIQUE)
     search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker)
-    tracker.log_likelihoods = lambda _, found: np.array(
-        [5.0 if attitude_error_deg(OBLIQUE, each.T_sensor_target) < 1.0 else 0.0 for each in found]
-    )
+    tracker.log_likelihoods = Oblique().log_likelihoods
     result = search.acquire(frame)
     assert result.outcome is Outcome.ACCEPTED
     assert attitude_error_deg(result.pose, OBLIQUE) < 1.0
-    tracker.log_likelihoods = lambda _, found: np.zeros(len(found))
+    tracker.log_likelihoods = Judging().log_likelihoods
     result = search.acquire(frame)
     assert result.outcome is Outcome.AMBIGUOUS
-    assert len(result.hypotheses) == 2
+    for turn in target("mockup").turns():
+        assert any(attitude_error_deg(turned * turn, rival.pose) < 1.0 for rival in result.hypotheses)
 
 
 def test_a_frame_without_amplitude_does():
