@@ -48,7 +48,7 @@ class BodyInput(StampedInput[FrameTrack]):
 
 
 class BodyReport:
-    """Tells the operator of known bodies that sensors do not see where they are said to be.
+    """Tells the operator which known bodies the sensors do not see at their published places.
 
     Args:
         node: the estimator's node.
