@@ -27,8 +27,8 @@ class BodyInput(StampedInput[FrameTrack]):
     name, lack = "bodies", "unknown"
     late_s = 0.02
     alarm = (
-        "{topics}: no pose up to the frame: the body is not taken out of it, and may hide the target or "
-        "be taken for it; check its publisher"
+        "{topics}: no pose up to the frame's time: the body is not removed from the frame, and may hide the "
+        "target or be taken for it; check its publisher"
     )
     again = "the poses of all bodies are known again"
 

@@ -216,7 +216,7 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     reason = _unlike(sight, most_unexplained)
     if not reason and sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
-        reason = f"a larger thing: the surface goes on across {share}"
+        reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
     if reason and found.continues_track:
         return replace(found, belief=contradicted(reason, **evidence))
     return replace(found, belief=replace(found.belief, evidence=evidence))
@@ -351,9 +351,9 @@ class AcquirerAmongThings(Generic[FrameT]):
             belief = replace(found.belief, evidence=evidence)
             return replace(found, registration=replace(found.registration, belief=belief))
         vague = (
-            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, "
-            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to end at "
-            f"{outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
+            f"the frame shows other things too: {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} "
+            f"needed, {visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to "
+            f"end at {outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
         )
         belief = replace(found.belief, insufficient=vague, evidence=evidence)
         return replace(found, registration=replace(found.registration, belief=belief))

@@ -191,7 +191,7 @@ class EndWatch:
         start = "" if timed else "stamps of the start (set source.stamp and source.duration_s), "
         return (
             f"its stamps may be up to {long_s:.3f} s early: all frames arrive at least that long after the "
-            f"end of exposure or scan{self._on_link(long_s)}, where {within_s:g} s is usual; a clock that is "
-            f"behind (synchronise it), {start}or a slow driver (set source.arrives_within_s); 'rpod "
+            f"end of exposure or scan{self._on_link(long_s)}, where {within_s:g} s is usual; causes: a clock "
+            f"that is behind (synchronise it), {start}or a slow driver (set source.arrives_within_s); 'rpod "
             "calibrate clock' measures it from a log with truth"
         )

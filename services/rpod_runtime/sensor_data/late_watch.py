@@ -88,8 +88,8 @@ class LateWatch:
                 f"source.clock_offset_s of the sensor; another {held_s:.3f} s came on the way: {_LINK}, then "
                 f"{_DRIVER}"
             )
-        told = f"it was held for {held_s:.3f} s"
-        clock = "its clock is as before, when frames came in time"
+        told = f"it was delayed by {held_s:.3f} s"
+        clock = "its clock has not changed since frames came in time"
         if not (first.sent_ns and last.sent_ns):
             return f"{told} on the link or in the driver, {clock}; {_LINK}, then {_DRIVER}"
         sent_late_s = (last.sent_ns - last.stamp_ns - first.sent_ns + first.stamp_ns) / NANOSECONDS

@@ -71,7 +71,7 @@ class Step(NamedTuple):
     def told(self) -> str:
         """Figures and remedy, for the operator."""
         return (
-            f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, where the jitter of its "
+            f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, while the jitter of its "
             f"frames explains {self.jitter_s:.3f} s: its clock was set, or runs wrong; frames are "
             f"{self.age_s:.3f} s old on arrival now; synchronise it by PTP or chrony, which slew and do not "
             "step, then `reset` the estimator to accept the clock as it is"

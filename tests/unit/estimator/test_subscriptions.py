@@ -438,7 +438,7 @@ def test_a_burst_from_a_link_that_held_frames_is_told_as_such_and_not_as_the_clo
         if number >= 16:
             (reason,) = reasons
             assert reason.startswith("late: ")
-            assert "it was held for" in reason
+            assert "it was delayed by" in reason
             assert "clock_offset_s" not in reason
 
 
