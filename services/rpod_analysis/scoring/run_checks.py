@@ -55,7 +55,7 @@ def headline(summary: Summary, totals: RunTotals) -> str:
     if totals.worst_deg and totals.worst_m:
         facts.append(
             f"worst errors {totals.worst_deg.value:.2f}° (at {totals.worst_deg.time_s:.1f} s) "
-            f"and {100.0 * totals.worst_m.value:.1f} cm (at {totals.worst_m.time_s:.1f} s)"
+            f"and {1e3 * totals.worst_m.value:.1f} mm (at {totals.worst_m.time_s:.1f} s)"
         )
     else:
         facts.append("errors not known")
