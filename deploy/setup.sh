@@ -33,7 +33,7 @@ if [[ ! -x $venv/bin/python ]]; then
   fi
 fi
 
-echo "setup: dependencies, as pinned in constraints.txt (about 300 MB and some minutes the first time)"
+echo "setup: dependencies, as pinned in constraints.txt (about 3 GB on the disk, and some minutes the first time)"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "pip>=25.1"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
   --editable '.[all]' --group dev --group docs --group devices
@@ -52,6 +52,6 @@ if ! problem=$("$venv/bin/python" -c 'import open3d' 2>&1); then
   fi
 fi
 
-echo "setup: the numerical code is compiled, once (about two minutes on two free cores)"
+echo "setup: the numerical code is compiled, once (about two minutes on two free cores, four on a loaded machine)"
 "$venv/bin/python" -m rpod compile
 echo "setup: ready"

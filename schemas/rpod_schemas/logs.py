@@ -192,8 +192,8 @@ class BusRecord(_Record):
     outages: tuple[OutageTime, ...] = ()
     """Times without a link to the router; each is also a reason why the file is not complete."""
     unconfirmed: tuple[str, ...] = ()
-    """Publishers of other software that ended: they do not say their last number, so that nobody knows
-    whether it arrived. They are no reason against the file."""
+    """Publishers of other software that ended. They do not tell their last number, so nobody knows whether
+    that message arrived. This does not make the file incomplete."""
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:

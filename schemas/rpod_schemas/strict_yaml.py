@@ -26,7 +26,7 @@ class _StrictLoader(yaml.SafeLoader):
     """The safe loader; a field that is given twice and an impossible value are errors with a line."""
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """Return a mapping before others are merged into it. Raises ``ComposerError``: a field is double."""
+        """Return a mapping before others are merged into it. Raises ``ComposerError`` if a field is twice."""
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
         lines: dict[tuple[str, str], int] = {}
         for key, _ in node.value:

@@ -124,7 +124,7 @@ class TruthError(Config):
     position_m_rms: NonNegative
     """RMS length of the truth's position error, m."""
     attitude_share: Share
-    """Part of the mean squared attitude error that may be the truth's; at 1, it tells nothing of the
+    """Part of the mean squared attitude error that may be the truth's; at 1 the error tells nothing about the
     estimates."""
     position_share: Share
     """Part of the mean squared position error that may be the truth's."""
@@ -222,8 +222,8 @@ class LogCompleteness(Config):
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
     unconfirmed: tuple[str, ...] = ()
-    """Publishers of other software that ended without saying their last number, a sentence each; they are no
-    reason against the log."""
+    """Publishers of other software that ended without telling their last number, a sentence each; this does
+    not make the log incomplete."""
 
 
 class Tracking(Config):
@@ -255,8 +255,8 @@ class Handover(Config):
     gap_s: NonNegative
     """Longest time from the last accepted frame of another sensor to the first of the new one, s."""
     jump_m: Known
-    """Largest part of a change of the position error between successive estimates around a handover that is
-    beyond the covariance of the earlier one, m; null without truth."""
+    """Largest change of the position error between successive estimates around a handover, as far as it
+    exceeds the covariance of the earlier one, m; null without truth."""
     jump_deg: Known
     """The same of the attitude error, deg."""
     change_m: Known = None

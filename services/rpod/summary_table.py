@@ -33,8 +33,8 @@ def _rows(summary: Summary) -> list[tuple[str, str]]:
         (
             "tracking",
             f"{_percent(modes.tracked_time_share)} of the time, longest without a track "
-            f"{_seconds(modes.longest_untracked_s)}; {_percent(modes.tracking_share)} of the frames after "
-            f"{_seconds(modes.first_tracking_s)}"
+            f"{_seconds(modes.longest_untracked_s)}; first at {_seconds(modes.first_tracking_s)}, then "
+            f"{_percent(modes.tracking_share)} of the frames"
             + f", {_percent(modes.coasting_share)} coasting"
             * bool(modes.coasting_share),
         ),
@@ -99,8 +99,8 @@ def _measured_rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(("processing", f"{1e3 * times.p50:.1f} ms median, {1e3 * times.p99:.1f} ms p99"))
     if summary.consistency:
         nees = summary.consistency
-        within = f"{_percent(nees.nees_share_in_95)} within 95 %"
-        rows.append(("NEES", f"{nees.nees_mean:.1f} mean of {nees.nees_dof} expected, {within}"))
+        within = f"{_percent(nees.nees_share_in_95)} within the 95 % bound"
+        rows.append(("NEES", f"mean {nees.nees_mean:.1f}, expected {nees.nees_dof}; {within}"))
     if summary.handover:
         rows.append(("handover", _handover(summary.handover)))
     if summary.integrity:

@@ -1,4 +1,4 @@
-"""Limits unsuccessful searches: a scene without the target is not searched at every frame for ever.
+"""Limits unsuccessful searches: where the target is not in view, not every frame is searched for ever.
 
 After ``PATIENCE_S`` of unsuccessful searches, searches take at most a tenth of the time. This ends with the
 first frame whose content differs from that of those frames. The module knows no bus and no clock; times are
@@ -30,8 +30,8 @@ _REMEMBERED = 32
 _DIFFERENT_BLOCKS = 3
 """Number of blocks that must have changed for a frame to count as different."""
 _MARGIN, _MARGIN_RANGES = 0.1, 0.5
-"""Least change of a block that counts: beyond the range of its values in the frames before, and over the
-width of this range. For normal noise and 32 frames the latter is four sigma."""
+"""Least change of a block that counts, beyond the range of its values in the frames before: a constant, and a
+share of the width of this range. For normal noise and 32 frames the share puts the limit at four sigma."""
 
 
 class Backoff:
@@ -76,9 +76,10 @@ class Backoff:
 
 
 def content(frame: SensorFrame) -> FloatArray:
-    """Return what a frame shows, coarsely: share of measured pixels and, if large, their mean log range.
+    """Return the coarse content of a frame, shape (blocks, 2).
 
-    Shape (blocks, 2); a scan is one image of its directions.
+    Of each block: the share of measured pixels, and the mean logarithm of their ranges if the share is large
+    enough, else 0. A scan is taken as an image of its directions.
     """
     range_m = _image(frame)
     rows, columns = (max(1, side // _BLOCKS) for side in range_m.shape)

@@ -94,7 +94,7 @@ def _serve(
                     service.publish(output)
                 bodies.update()
                 subscriptions.report_health(estimator.mode)
-            for arrived in subscriptions.rest():  # each frame gets a status or is counted
+            for arrived in subscriptions.rest():  # each frame gets a status, or is counted as dropped
                 for each in readings:
                     each.take_until(arrived.stamp_ns)
                 service.process(arrived)

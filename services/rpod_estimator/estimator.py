@@ -50,8 +50,8 @@ OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
 TICK_S = 0.1
 """Time between two ticks while no frame arrives."""
 SLOW_SEARCH_S = 4.0
-"""Time after which a search is told of, with what its sensor measures: a first pose in a frame that shows the
-target takes less, but among other things."""
+"""Time after which the status tells that a search takes long, with what its sensor measures. The search for a
+first pose takes less time, unless there are other things in view."""
 SLOW_SEARCH = "its search for a first pose takes long"
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
@@ -112,7 +112,7 @@ class Estimator:
         return self.mode != Mode.ACQUIRING and self._config.changed_setup == "refuse"
 
     def learn(self, infos: Mapping[str, Any]) -> None:
-        """Create a sensor's methods when what they need is known, and again when its info changes.
+        """Create a sensor's methods as soon as its setup is known, and again when its info changes.
 
         This also loads the compiled code of the methods.
 
@@ -232,11 +232,11 @@ class Estimator:
         return output.explained(f"{SLOW_SEARCH} ({hint})" if hint else SLOW_SEARCH)
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
-        """Return the integrity of the newest result; call it once for each.
+        """Return the integrity of the newest result. Call this once for each result.
 
         Args:
             output: the result.
-            frozen: whether its frame was refused as one of a frozen stream.
+            frozen: whether its frame was refused because its stream is frozen.
         """
         self._memory, found = self._monitor.assess(self._memory, self._state, output, frozen=frozen)
         return found
@@ -254,7 +254,7 @@ class Estimator:
         return output
 
     def unreported(self, now_ns: int, searches: LiveSearches) -> Iterator[Output]:
-        """Yield the results of searches whose sensors have sent no frame since, which would report them."""
+        """Yield the results of ended searches whose sensor is silent: no further frame reports them."""
         for name, stream in self._state.streams.items():
             if not stream.is_silent(now_ns, self._config.navigator.silence_timeout_s):
                 continue

@@ -1,8 +1,8 @@
 """Describes what a frame measures, for the reason why no pose was found in it.
 
-A first sensor often has another unit of length than the estimator is told, or looks past the target. No
-method can tell: it finds too few pixels of the target, or none of its size. The distances themselves show it,
-and the width of all that is measured.
+A newly connected sensor often measures in another unit than the configuration says, or looks past the target.
+No method can tell this: it finds too few pixels of the target, or nothing of its size. The measured distances
+show it, and the width of everything that is measured.
 """
 
 from typing import Any
@@ -16,17 +16,17 @@ _NARROW_PX = 12.0
 """Width of the target in the image below which a first pose lacks pixels: a body covers at least a quarter of
 the square of its length, and 40 pixels with depth are needed."""
 _BESIDE = 0.1
-"""Distance, over the target's radius, from which on a sensor may stand before the target: closer, all that it
-measures lies inside the target's sphere, at a tenth of its radius."""
+"""Least plausible distance to the target, over its radius. Where everything that is measured is closer than
+this, the sensor would stand inside the sphere around the target."""
 _AHEAD = 0.6
-"""Mean of the points' directions along an axis from which on they lie ahead of it: within 50 deg."""
+"""Mean of the points' directions along an axis from which on the sensor looks along it: within 50 deg."""
 _PERCENT = (5.0, 95.0)
 _WIDE = 1.25
-"""Width of all that is measured, over the target's diameter, from which on more than the target is in view,
-or its unit is another one: no body is wider than its diameter, and a lens may be off by a little."""
+"""Width of everything that is measured, over the target's diameter, above which more than the target is in
+view or the unit is wrong: no body is wider than its diameter, and a focal length may be off by a little."""
 _SLIM = 0.4
-"""Width of all that is measured, over the target's second longest side, below which the target is seen in
-part or in a unit that is too long: from any direction a whole body shows about that side."""
+"""Width of everything that is measured, over the target's second longest side, below which only a part of the
+target is in view, or the unit is wrong: from any direction a whole body is about as wide as that side."""
 
 
 def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str:
@@ -66,7 +66,7 @@ def _points_m(data: SensorFrame) -> NDArray[Any]:
 
 
 def _axes_hint(lens: Camera | None, points_m: NDArray[Any]) -> str:
-    """Return whether the points of a LIDAR lie ahead of x, not of z."""
+    """Return a hint if the points of a LIDAR lie along its x axis, not along z; else empty."""
     if lens is not None:
         return ""
     x, _, z = (points_m / np.linalg.norm(points_m, axis=1, keepdims=True)).mean(axis=0)
@@ -78,7 +78,7 @@ def _axes_hint(lens: Camera | None, points_m: NDArray[Any]) -> str:
 def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> str:
     unit = _field(lens)
     if far_m < _BESIDE * radius_m:
-        return f", inside the target, whose radius is {radius_m:.3g} m: check {unit}"
+        return f", which is inside the target, whose radius is {radius_m:.3g} m: check {unit}"
     if lens is None:
         return ""
     wide_px = 2.0 * radius_m * lens.fx / near_m
@@ -91,7 +91,7 @@ def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> 
 
 
 def _size_hint(lens: Camera | None, wide_m: float, radius_m: float, side_m: float) -> str:
-    """Return what the width of all that is measured says of the unit of length and of the lens."""
+    """Return what the measured width says about the unit of length and the lens; empty if nothing."""
     lens_too = "" if lens is None else ", or the focal length of camera_info is that of another mode"
     remedy = f"distances are in another unit: check {_field(lens)}{lens_too}"
     told = f", {wide_m:{_form(wide_m)}} m wide, while the target is"

@@ -205,9 +205,9 @@ class FrameReader:
     def _succeed(self, sensor: str, leader: Peer) -> None:
         """Take note of the publisher of a sensor's frames.
 
-        Messages of rmw_zenoh name no session, so that nothing tells which mount and info are of the publisher
-        of the frames. Where another one takes over, those of the one before may be gone with it: the newest
-        count, and while a target is tracked they are compared with those of before.
+        Messages of rmw_zenoh name no session, so nothing tells which mount and info come from the publisher
+        of the frames. When another publisher takes over, mount and info of the one before may no longer
+        apply: the newest ones count. While a target is tracked, they are compared with those before.
         """
         before = self._leaders.get(sensor, leader)
         self._leaders[sensor] = leader
@@ -256,16 +256,16 @@ class FrameReader:
 
 
 def _shows_something(data: SensorFrame) -> bool:
-    """Return whether a frame has a measured pixel or a return; empty frames are alike by nature."""
+    """Return whether a frame has a measured pixel or a return; empty frames are always identical."""
     if data.images:
         return bool(np.isfinite(data.images[0].values).any())
     return len(data.returns_m) > 0
 
 
 def _defect(data: SensorFrame) -> str:
-    """Return which image beside the leading one is the same everywhere, so that it is no measurement.
+    """Return which image beside the leading one has one value in all pixels, so that it is no measurement.
 
-    An image of zeros may be one: a target too faint for its encoding.
+    An image of zeros may be a measurement: the target may be too faint for the encoding.
     """
     for image in data.images[1:]:
         first = image.values.flat[0]

@@ -91,7 +91,7 @@ class SearchProcess:
             self._fork(loaded)
 
     def _fork(self, loaded: Loaded) -> None:
-        gc.freeze()  # a collection writes to each object that it looks at, which would end the sharing
+        gc.freeze()  # a garbage collection writes to each object, which would copy the shared memory
         self._connection, theirs = Pipe()
         arguments = theirs, self._connection, self._sensor, loaded
         self._start(get_context("fork").Process(target=_serve_forked, args=arguments))
@@ -136,7 +136,7 @@ class SearchProcess:
         self._next = None
         if self._is_busy and self._unwanted_s is None:
             self._unwanted_s = self._now_s()
-            with suppress(OSError):  # an end of the process is told when it is heard
+            with suppress(OSError):  # `_receive` reports that the process has ended
                 self._connection.send_bytes(_CANCEL)
         self._receive()
 
@@ -147,7 +147,7 @@ class SearchProcess:
         self._connection.close()
 
     def _receive(self) -> Found | None:
-        """Take what the process says, and give it the next search if it is free."""
+        """Take the results of the process, and give it the next search if it is free."""
         if self._again_s is not None:
             if self._now_s() < self._again_s:
                 return None
@@ -215,7 +215,7 @@ def serve(
 def _serve_forked(connection: Connection, theirs: Connection, sensor: SensorInput, loaded: Loaded) -> None:
     signal.set_wakeup_fd(-1)  # a signal to this process must not wake the estimator
     _ignore_stops()
-    theirs.close()  # the estimator's end; with a copy of it, its end would not be noticed
+    theirs.close()  # with a copy of the estimator's connection, this process would not notice its closing
     os.nice(NICENESS)
     _search_on(connection, sensor, loaded)
 

@@ -42,7 +42,7 @@ class SetupCheck:
             pinned: whether the setup must be that of the frames before, if there are any.
 
         Raises:
-            MessageRejectedError: it is pinned and another one; the text says what changed, and by how much.
+            MessageRejectedError: the setup is pinned and differs; the text says what changed, by how much.
         """
         known = self._known.setdefault(sensor, setup)
         if pinned and (changed := _difference(known, setup)):

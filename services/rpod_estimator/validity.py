@@ -1,9 +1,9 @@
 """Whether the newest estimate may be used now: a flag and an age that a robot cannot overlook.
 
 An estimate is valid while it is supported by measurements that are new, accepted and not contradicted, and
-while its own covariance is below the alert limit. It is told with each estimate and between them by a thread,
-so that a main loop that is busy cannot hide it. Its age counts in full while this process stands still, since
-the target moves on (decision 80).
+while its own covariance is below the alert limit. The validity is published with each estimate, and between
+estimates by a thread, so that a busy main loop cannot delay it. Its age also grows while this process stands
+still, since the target moves on (decision 80).
 """
 
 import time
@@ -54,7 +54,7 @@ class Validity:
     """Follows what supports the newest estimate. Safe to use from several threads.
 
     Args:
-        stale_after_s: longest time without a new measurement, of a sensor that is not slower.
+        stale_after_s: longest time without a new measurement, unless the sensor's own period is longer.
     """
 
     def __init__(self, stale_after_s: float) -> None:
@@ -68,7 +68,7 @@ class Validity:
         self._lock = Lock()
 
     def take(self, output: Output, arrived: Arrived | None = None, *, now_s: float) -> None:
-        """Note a result of the estimator, and the frame that it is of, which arrived at ``now_s``."""
+        """Note a result of the estimator and its frame, which arrived at ``now_s``."""
         with self._lock:
             self._mode = output.status.mode
             self.newest_ns = max(self.newest_ns, _newest_ns(output, arrived))

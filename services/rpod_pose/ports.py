@@ -35,7 +35,7 @@ class Angle:
 
     angle_rad: float
     sigma_rad: float
-    """Its standard deviation; that of a uniform angle between the limits where nothing tells it."""
+    """Its standard deviation; that of a uniform angle between the limits if the angle is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class ErrorParts:
     def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:
         """Return the parts of a pose with no other lasting errors than those of the target's model.
 
-        Such as those of a scan: in the next scan each ray meets another place, so that the errors by sampling
+        For example those of a scan: in the next scan each ray meets another place, so the errors by sampling
         are new.
         """
         return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)

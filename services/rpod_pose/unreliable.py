@@ -1,9 +1,9 @@
-"""Parts of a target that are no evidence: flexible foil, an array whose angle is not known.
+"""Parts of a target that give no evidence: flexible foil, an array whose angle is not known.
 
-The methods know the target without these parts, so that they expect no point, edge or pixel of them. What a
-frame shows of them is taken out of it before: the points whose nearest surface, at a pose of the whole
-target, is one of these parts. The pose is the predicted one, or for a first pose that of a search with all
-parts. Where such a part hides another one, the rays that it stops count as rays without a return.
+The methods know the target without these parts, so they expect no point, edge or pixel of them. Before that,
+the points of these parts are removed from the frame: those whose nearest surface, at a pose of the whole
+target, is one of these parts. This pose is the predicted one, or for a first pose that of a search with all
+parts. Where such a part hides another one, the rays that end on it count as rays without a return.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
-"""Ends a search that nobody waits for any more at its next step.
+"""Ends a search at its next step when nobody waits for its result any more.
 
-A search takes up to many seconds in steps of some milliseconds. Methods call ``step`` between them, so that
-the process that searches is free soon. Where nobody can lose interest, a step does nothing.
+A search may take many seconds, in steps of some milliseconds. Methods call ``step`` between them, so that the
+process that searches is free soon. If a search cannot be cancelled, ``step`` does nothing.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,7 +1,7 @@
 """Common base of all services: session, publishers, subscriptions, health, clock and life cycle.
 
-Names are imported when they are first used: a router needs none of them, nor the numerical libraries that
-they import, and restarts sooner.
+Names are imported when they are first used. A router needs neither them nor the numerical libraries that they
+import, and so restarts sooner.
 """
 
 from importlib import import_module

@@ -21,8 +21,8 @@ _REMEMBERED = 64
 _HELD = 16
 """Number of messages of a lasting part that are kept, for frames that are older than the newest of them."""
 _USUAL = 3
-"""Number of consecutive frames with a lasting part of their own after which the next frame waits for its own,
-too."""
+"""Number of consecutive frames with a lasting part of their own after which the next frame also waits for
+one."""
 _INTERVALS = 8
 """Number of recent intervals between frames; the shortest one counts as the time between two frames."""
 _EXPLAINED = 64
@@ -202,7 +202,7 @@ class Assembler(Generic[PartT]):
         return min(steps, key=abs, default=None)
 
     def _note_straggler(self, name: str, stamp_ns: int) -> None:
-        """Wait for an optional part again if it arrives late, yet before the next frame."""
+        """Wait for an optional part again if it arrives late, but before the next frame."""
         if stamp_ns not in self._past:
             self._give_up(stamp_ns, name)
         elif name in self.optional and stamp_ns == self.done_ns and not self._pending:

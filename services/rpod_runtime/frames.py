@@ -47,7 +47,7 @@ _SETTLED = 10
 _LEAST_PILE = 16
 """Least number of pixels with an image's largest value by which it counts as clipped."""
 _PILED, _LEVELS = 5.0, 8
-"""Least number of such pixels over that of each of the next lower values, and number of these values."""
+"""Least ratio of their number to that of pixels with each of the next lower values; number of such values."""
 ICD = SourceConfig()
 """The source of a sensor that keeps to the interface control document."""
 
@@ -151,8 +151,8 @@ class PmdReader:
 def saturated_pixels(amplitude: NDArray[Any], limit: float | None) -> NDArray[np.bool_] | None:
     """Return the pixels of an amplitude image that are saturated, same shape; None if there are none.
 
-    Without a limit these are the pixels with the largest value of an integer type, or with the largest of the
-    image if far more have it than the values just below, which means that it is clipped there.
+    Without a limit these are the pixels with the largest value of an integer type, or with the largest value
+    in the image if far more pixels have it than the values just below: then the image is clipped there.
     """
     if limit is not None:
         beyond: NDArray[np.bool_] = amplitude >= limit
@@ -193,12 +193,12 @@ class LidarReader:
 
     @property
     def inconsistency(self) -> str:
-        """What is inconsistent between info and points of the LIDAR; empty if nothing."""
+        """How info and points of the LIDAR contradict each other; empty if they do not."""
         return "; ".join(self._inconsistencies.values())
 
     @property
     def said(self) -> LidarInfo | None:
-        """Info that the LIDAR published, else the scan pattern as its points show it; of what lies ahead."""
+        """Info that the LIDAR published, else the scan pattern that its points show; only the part ahead."""
         pattern = self._info or self._inferred.pattern
         if pattern is not self._whole:
             self._whole, self._front = pattern, None if pattern is None else ahead(pattern)
@@ -265,8 +265,8 @@ class LidarReader:
             self._note(
                 "rows",
                 f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of the info, so that "
-                "misses count for the wrong rays; let the driver destagger its rows and give points in "
-                "the sensor's own axes, or publish no info",
+                "a missing return counts for the wrong ray; let the driver destagger its rows and give "
+                "points in the sensor's own axes, or publish no info",
             )
         return points_m, others
 

@@ -352,10 +352,8 @@ class Node(Asker):
             self.parameters.offer(name, value)
         self.health.tell("configuration/read_again", text)
         names = ", ".join(reply.needs_restart)
-        self.health.alarm(
-            "configuration",
-            f"the file differs in {names}: restart the service, or correct it" if names else "",
-        )
+        differs = f"the file differs in {names}: restart the service, or correct it" if names else ""
+        self.health.alarm("configuration", differs)
 
     # --- life ---
 

@@ -178,7 +178,7 @@ def test_what_a_handler_raises_is_the_answer_and_the_service_goes_on(bus, caplog
 
 def test_an_answer_of_another_kind_is_a_failed_query(bus):
     bus.node("server")
-    with pytest.raises(QueryFailedError, match="the answer is no LogReply"):
+    with pytest.raises(QueryFailedError, match="the answer is not a LogReply"):
         bus.node("asker").ask("server", "status", LogReply)
 
 

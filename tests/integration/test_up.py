@@ -142,7 +142,7 @@ def test_at_a_sighup_the_log_level_changes_and_what_needs_a_restart_is_named(up)
     facility.process.send_signal(signal.SIGHUP)
     log = Path(before["log"])
     until(lambda: "log_level is warning" in log.read_text("utf-8"))
-    assert "not while it runs: estimators; restart the service" in log.read_text("utf-8")
+    assert "cannot change while it runs: estimators; restart the service" in log.read_text("utf-8")
     assert facility.service("router")["pid"] == before["pid"]
 
 

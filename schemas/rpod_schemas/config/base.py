@@ -26,7 +26,7 @@ ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 ZENOH_ID = r"^[0-9a-f]{1,32}$"
 """Pattern of an identity of a Zenoh session."""
 NAMESPACE = r"^([A-Za-z0-9_]+(/[A-Za-z0-9_]+)*)?$"
-"""Pattern of the namespace of a ROS 2 node, without the slash at its begin."""
+"""Pattern of the namespace of a ROS 2 node, without the leading slash."""
 TOPIC = r"^/?[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$"
 """Pattern of a topic's name."""
 _PATTERNS = {
@@ -45,7 +45,7 @@ _FORMS = {
     "model_type": _NAMED_FIELDS,
     "model_attributes_type": _NAMED_FIELDS,
 }
-"""Form that a field needs, by Pydantic's name of the error that it has another."""
+"""Form that a field needs, by Pydantic's name of the error for any other form."""
 _UNKNOWN = "extra_forbidden"
 """Pydantic's name of the error that a field is not known."""
 _MOST_NAMED = 3
@@ -77,7 +77,7 @@ def live_fields(model: type[BaseModel]) -> tuple[str, ...]:
 
 _MOST_BYTES, _MOST_VALUES, _MOST_LEVELS = 8 << 20, 1_000_000, 50
 _MOST_FILES = 1000
-"""Number of files of a folder among which the one that was meant is looked for."""
+"""Largest number of files in a folder whose names are compared with that of a missing file."""
 _TOO_DEEP = f"is nested more than {_MOST_LEVELS} levels deep; no field of a configuration is"
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -156,7 +156,7 @@ def _check_size(document: Any, path: Path) -> None:
 
 
 RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict": "acceptance"}
-"""Present names of fields of configuration files by the names that they had."""
+"""Present names of fields of configuration files, by their former names."""
 
 
 REMOVED = {"coasting_after_s": "remove it; the estimator's stale_after_s counts for it too"}
@@ -239,7 +239,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _problems(error: ValidationError) -> list[ErrorDetails]:
-    """Return the errors without those that follow from others: of wrong items a list has too few."""
+    """Return the errors without those that follow from others: a list of wrong items is also too short."""
     problems = error.errors(include_url=False)
     places = [problem["loc"] for problem in problems]
     return [
@@ -288,9 +288,9 @@ def load(model: type[Model], path: Path) -> Model:
 
 
 def in_place(value: Any, read: Callable[[Path], Any]) -> Any:
-    """Return what ``read`` makes of a file, if a value is a path that stands in its place, else the value.
+    """Return the content of a file, by ``read``, if a value is the path of one; else the value itself.
 
-    An error of the file is one of the field that names it: ``ValueError`` in a validator.
+    An error of the file is reported as one of the field that names it: ``ValueError`` in a validator.
     """
     if not isinstance(value, str | Path):
         return value

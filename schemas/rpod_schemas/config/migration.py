@@ -162,7 +162,7 @@ def _move(document: dict[str, Any], place: Place) -> Place:
 
 
 def _origin(place: Place, origins: Mapping[Place, Place]) -> Place:
-    """Return the place that the log gives to a field, which or whose holder may have got another one."""
+    """Return the place of a field in the log; the field, or its holder, may have another place today."""
     held = next((size for size in range(len(place), 0, -1) if place[:size] in origins), 0)
     return origins[place[:held]] + place[held:] if held else place
 

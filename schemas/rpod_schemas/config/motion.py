@@ -224,8 +224,8 @@ class BodyMotionConfig(Config):
     pose: Pose = Field(default_factory=make_pose)
     """Pose of the frame in the axes of that body."""
     error: Pose = Field(default_factory=make_pose)
-    """Pose of the frame as it is published, in the frame as it is: what the robot's encoders or its
-    calibration are off by."""
+    """Pose of the published frame in the true frame: the error of the robot's encoders or of its
+    calibration."""
     rate_hz: Positive = 50.0
     """Rate of the messages, Hz; a divisor of the truth's rate."""
 

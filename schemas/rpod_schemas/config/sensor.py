@@ -112,7 +112,7 @@ class SensorInput(Kinded):
     range_m: Range | None = None
     """Least and greatest distance to the target's origin at which the sensor is used, m. Set it where the
     sensor's poses are worse than another sensor's beyond it: a camera's frames of a target that is a few
-    pixels wide may agree with a wrong attitude. If left out, what the method believes is used."""
+    pixels wide may agree with a wrong attitude. If left out, each pose that the method accepts is used."""
     alert_limit: AlertLimit = AlertLimit()
     """Error beyond which an estimate by this sensor is of no use."""
     source: Source = SourceConfig()

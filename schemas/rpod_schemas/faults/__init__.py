@@ -1,4 +1,4 @@
-"""The catalogue of faults, of which one serves all.
+"""The catalogue of faults: the same one for injection, scenarios, campaigns and checks.
 
 ``rpod_sim_sensor.faults`` injects those of sensors, the proxy those of links, the supervisor those of
 processes, the logger that of its disk. Scenarios and queries ask for them by name, campaigns try them, and

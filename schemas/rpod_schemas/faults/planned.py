@@ -75,12 +75,12 @@ class AskedFault(Config):
             raise ValueError(
                 f"{self.fault} needs service, the one that has it"
                 if has_service
-                else f"service: {self.fault} is none of a service; leave it out"
+                else f"service: {self.fault} is not a fault of a service; leave service out"
             )
         if self.sensor is not None and not kind.of_sensor:
-            raise ValueError(f"sensor: {self.fault} is none of a sensor; leave it out")
+            raise ValueError(f"sensor: {self.fault} is not a fault of a sensor; leave sensor out")
         if self.size is not None and size is None:
-            raise ValueError(f"size: {self.fault} has only one; leave it out")
+            raise ValueError(f"size: {self.fault} has only one size; leave it out")
         if self.size is not None and size is not None and not size.low <= self.size <= size.high:
             raise ValueError(
                 f"size is {self.size:g}, {self.fault} takes {size.low:g} to {size.high:g} {size.unit}"

@@ -16,7 +16,7 @@ _NO_PIXEL = (
     "no finite pixel in the depth image; check the sensor's cover, lamp, exposure and range, if the target "
     "is in view"
 )
-_AMPLITUDES = "mono16, mono8 or 32FC1; a colour image is none: leave it out of source.topics"
+_AMPLITUDES = "mono16, mono8 or 32FC1; a colour image is not an amplitude: leave it out of source.topics"
 _CALIBRATE = "give its driver a calibration ('rpod calibrate camera' makes one)"
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "32FC1": ("<f4", 1),
@@ -75,9 +75,9 @@ _LARGEST = 65535
 def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]:
     """Return depth, m, float32, of a ``32FC1`` image in metres, or of ``16UC1`` or ``mono16`` in millimetres.
 
-    Where a driver has another unit, ``unit_m`` is its length. Pixels without depth are NaN: 0, and 65535, by
-    which drivers tell that there is no return, or that it is farther than they can tell. An image without any
-    finite pixel is rejected.
+    If a driver uses another unit, ``unit_m`` is its length. Pixels without depth become NaN: those of 0, and
+    those of 65535, by which drivers mark a missing return, or one that is too far for the image. An image
+    without any finite pixel is rejected.
     """
     image = read_image(message)
     if message.encoding in ("16UC1", "mono16"):
@@ -126,7 +126,7 @@ def write_compressed(stamp_ns: int, frame_id: str, form: str, data: NDArray[np.u
 
 
 def read_camera(message: Any) -> Camera:
-    """Return the camera of a sensor_msgs/CameraInfo as it is for the images: with its binning and its region.
+    """Return the camera of a sensor_msgs/CameraInfo for the images as they are sent, binned and cropped.
 
     Distortion models are plumb_bob, rational_polynomial and equidistant, or none. The size and the camera
     matrix of the message are those of the full resolution; a region of interest is cut out of it, then

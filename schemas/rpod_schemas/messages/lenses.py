@@ -59,8 +59,8 @@ def _of_fisheye(k: tuple[float, ...], farthest: float) -> NDArray[np.float64]:
     if not inside or (np.diff(imaged[:inside]) <= 0.0).any():
         raise MessageRejectedError(
             Reason.MALFORMED,
-            f"the fisheye lens images {np.degrees(_MOST_RAD):.0f} deg within the image, or folds it; crop "
-            "the image to pixels that see less (roi), or correct the coefficients",
+            f"the fisheye lens sees more than {np.degrees(_MOST_RAD):.0f} deg from its axis, or its "
+            "coefficients fold the image; crop the image (roi), or correct the coefficients",
         )
     slope = np.tan(theta[: inside + 2])
     x, factor = slope**2, imaged[: inside + 2] / slope

@@ -62,7 +62,7 @@ def is_known(type_name: str) -> bool:
 def learn(type_name: str, text: str | bytes) -> None:
     """Register a type by its ``ros2msg`` definition; a type that is already known is not changed.
 
-    A definition that is none is not registered: its messages stay bytes, and decoding them is an error.
+    A text that is no valid definition is not registered: its messages stay bytes, and decoding them fails.
     """
     if is_known(type_name) or len(text) > MOST_DEFINITION_BYTES:
         return

@@ -128,7 +128,7 @@ def _print(found: TargetCheck, console: Console) -> None:
     for one in found.found_symmetries:
         axis = ", ".join(f"{value:.3f}" for value in one.axis)
         turn = "any turn" if one.continuous else f"order {one.order}"
-        kind = "exact" if one.exact else "near" if one.mistaken else "near, told apart"
+        kind = "exact" if one.exact else "near" if one.mistaken else "near, but sensors can distinguish it"
         console.print(f"symmetry  about ({axis}): {turn}, {kind}", markup=False)
     ignored = [part.name for part in found.parts if part.unreliable]
     if ignored:
@@ -169,8 +169,8 @@ def _methods(found: TargetCheck) -> Table:
         all_ = each.total
         table.add_row(
             f"{each.sensor}.{each.name}{'*' * each.default}",
-            f"{all_.right} of {all_.frames - all_.unseen}",
-            *(str(count) for count in (all_.ambiguous, all_.refused, all_.wrong)),
+            f"{all_.right} of {all_.frames - all_.unseen}" if all_.frames else "not tried",
+            *(str(count) if all_.frames else "-" for count in (all_.ambiguous, all_.refused, all_.wrong)),
             "-" if all_.attitude_deg is None else f"{all_.attitude_deg:.2g}",
             "-" if all_.position_m is None else f"{1e3 * all_.position_m:.2g}",
             "-" if each.median_ms is None else f"{each.median_ms:.0f}",
@@ -179,14 +179,14 @@ def _methods(found: TargetCheck) -> Table:
 
 
 def _accuracy(found: TargetCheck) -> Table:
-    table = Table(title="smallest error of one frame (1 sigma, least known axis)", title_justify="left")
+    table = Table(title="smallest error of one frame (1 sigma, worst axis)", title_justify="left")
     for name in ("sensor", "range, m", "points", "position, mm", "attitude, deg", "edges"):
         table.add_column(name, justify="left" if name == "sensor" else "right")
     for sensor in found.accuracy:
         for at in sensor.ranges:
             table.add_row(
                 sensor.sensor,
-                f"{at.range_m:.4g}",
+                f"{at.range_m:.3g}",
                 str(at.points),
                 "-" if at.sigma_position_m is None else f"{1e3 * at.sigma_position_m:.2g}",
                 "-" if at.sigma_attitude_deg is None else f"{at.sigma_attitude_deg:.2g}",

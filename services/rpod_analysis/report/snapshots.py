@@ -243,7 +243,7 @@ def _note(run: Run, index: int | None) -> str:
         return "no estimate"
     if not run.errors.scored[index]:
         return "no truth"
-    return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {100 * run.errors.distance_m[index]:.1f} cm"
+    return f"{np.rad2deg(run.errors.angle_rad[index]):.2f}°, {1e3 * run.errors.distance_m[index]:.1f} mm"
 
 
 def frame_pictures(frame: SensorFrame, outline: FloatArray) -> tuple[Picture, ...]:

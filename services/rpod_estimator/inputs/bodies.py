@@ -27,8 +27,8 @@ class BodyInput(StampedInput[FrameTrack]):
     name, lack = "bodies", "unknown"
     late_s = 0.02
     alarm = (
-        "{topics}: no pose up to the frame: the body is not taken out of it, and may hide the target or "
-        "be taken for it; check its publisher"
+        "{topics}: no pose up to the frame's time: the body is not removed from the frame, and may hide the "
+        "target or be taken for it; check its publisher"
     )
     again = "the poses of all bodies are known again"
 
@@ -48,7 +48,7 @@ class BodyInput(StampedInput[FrameTrack]):
 
 
 class BodyReport:
-    """Tells the operator of known bodies that sensors do not see where they are said to be.
+    """Tells the operator which known bodies the sensors do not see at their published places.
 
     Args:
         node: the estimator's node.

@@ -18,15 +18,15 @@ WINDOW_S = 2.0
 LEAST_FRAMES = 3
 """Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
 LOCKSTEP_SILENCE_S = 60.0
-"""As ``WINDOW_S``, for silence by the wall clock in lockstep, where a second of the scenario may take many.
-There the time of the bus decides, unless it stands still because a frame is awaited."""
+"""As ``WINDOW_S``, for silence by the wall clock in lockstep, where one second of the scenario may take many
+seconds. There the time of the bus decides, unless it stands still because the clock waits for a frame."""
 PERIODS = 3.0
 """Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
-"""Kinds of losses that are told with the first frame: the sensor, or its clock, is not as it was."""
+"""Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
 DOUBTFUL_SHARE = 0.125
-"""Share of the recent frames that support the pose too little, above which it is told: as that above which
-the navigator begins no track."""
+"""Share of recent frames with too little support of the pose above which this is reported. Above the same
+share the navigator begins no track."""
 UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
 came during a search that takes long, which is no error."""
@@ -86,9 +86,9 @@ class SensorBook:
         self.defect = ""
         """Defect of its newest frame although it can be used; empty if there is none."""
         self.clock = ""
-        """What its stamps and the arrival of its frames say against each other; empty if nothing."""
+        """How its stamps and the arrival of its frames contradict each other; empty if they do not."""
         self.drift = ""
-        """How its clock drifts, if that is more than is declared; empty if it is not."""
+        """How its clock drifts, if it drifts more than is declared; else empty."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
@@ -99,7 +99,7 @@ class SensorBook:
         self._bus_heard_s: float | None = None
         self._bus_gaps_s: deque[float] = deque(maxlen=9)
         self.instead = ""
-        """What is awaited of a sensor that has never sent, and what is published instead."""
+        """The awaited topic of a sensor that has never sent, and what is published instead."""
         self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
 
     @property
@@ -132,7 +132,7 @@ class SensorBook:
         self._recent.append(_Frame(now_s, loss))
 
     def note_others(self, now_s: float, unused: str = "") -> None:
-        """Note that parts of a frame came without the leading one; ``unused``: why they are of no frame."""
+        """Note that parts of a frame came without the leading one; ``unused`` says why no frame uses them."""
         self._others_s = now_s
         if unused:
             self._unused.append((now_s, unused))
@@ -176,7 +176,7 @@ class SensorBook:
         if bus_s is None:
             return 0.0
         if self._bus_heard_s is None:
-            self._bus_heard_s = bus_s  # the time begins
+            self._bus_heard_s = bus_s  # silence counts from the first message of the clock
         silent_s = bus_s - self._bus_heard_s
         return silent_s if silent_s > max(WINDOW_S, PERIODS * median(self._bus_gaps_s or [0.0])) else 0.0
 
@@ -197,8 +197,8 @@ class SensorBook:
             return InputState(
                 Health.WARN,
                 f"{self.name}: {len(weak)} of {len(self._recent)} frames support the pose too little: "
-                f"{weak[-1]}; a quarter of such frames ends a track, an eighth lets none begin; "
-                "compare model and target (shape, materials), and look at lens and exposure",
+                f"{weak[-1]}; a track ends if a quarter of the frames are such, and none begins above an "
+                "eighth; compare model and target (shape, materials), and check lens and exposure",
             )
         if self.repeats < LEAST_FRAMES:
             return OK
@@ -217,7 +217,7 @@ class SensorBook:
 def unpaired(frame: GivenUp, leading: str) -> Loss:
     """Return why a frame of which only parts came was not used."""
     if not frame.lacks:
-        return Loss(UNPAIRED, f"its {leading} came behind that of a newer frame; look at the network")
+        return Loss(UNPAIRED, f"its {leading} came after that of a newer frame; look at the network")
     lacks = " and ".join(_lack(part, step_ns) for part, step_ns in frame.lacks.items())
     return Loss(UNPAIRED, f"{leading} without {lacks}")
 
@@ -227,7 +227,9 @@ def unused(frame: GivenUp, leading: str) -> str:
     step_ns = frame.lacks.get(leading)
     if not step_ns:
         return ""
-    return f"{' and '.join(sorted(frame.parts))} is not used, without {_lack(leading, step_ns)}"
+    parts = sorted(frame.parts)
+    are = "is" if len(parts) == 1 else "are"
+    return f"{' and '.join(parts)} {are} not used without {_lack(leading, step_ns)}"
 
 
 def _lack(part: str, step_ns: int | None) -> str:

@@ -64,13 +64,13 @@ class InputHealth:
         """Publishers beside the one that is used: topic, the one that is used, the other one."""
 
     def judge(self, arrived: Arrived, output: Output, now_s: float) -> None:
-        """Note what became of a frame."""
+        """Note whether a frame was used, and why not."""
         book, status = self.books[arrived.sensor], output.status
         if arrived.refused == Reason.SECOND_PUBLISHER:
-            return  # told of as a rival
+            return  # reported as one of two publishers
         if output.search == RESTING:
             self._health.count(f"dropped/{arrived.sensor}")
-        if output.search and not output.why:  # the frame in which nothing is found is told of
+        if output.search and not output.why:  # the result of the search is reported at its own frame
             return
         book.repeats, book.defect = arrived.repeats, arrived.defect
         if status.accepted:
@@ -88,11 +88,11 @@ class InputHealth:
             book.note_others(now_s, unused(frame, leading))
 
     def rest(self, pause_s: float) -> None:
-        """Note how long searches rest."""
+        """Note the time between two searches, 0 while they are not limited."""
         self._pause_s = pause_s
 
     def take_diagnostic(self, diagnostic: Diagnostic) -> None:
-        """Repeat what a driver says of how a sensor keeps time. Raises ``MessageRejectedError``."""
+        """Repeat what a driver tells about a sensor's clock. Raises ``MessageRejectedError``."""
         for sensor, book in self.books.items():
             try:
                 sync = SensorSync.read(sensor, diagnostic.values)
@@ -129,9 +129,9 @@ class InputHealth:
         rivals = self._rivals_state()
         self._log("publishers", rivals, now_s)
         states.append(rivals)
-        states += self.refusals.states(now_s)  # each is in the log, as any rejected message
+        states += self.refusals.states(now_s)  # `Node.reject` has logged each of them
         if self._pause_s:
-            states.append(InputState(Health.OK, f"searches rest: one frame in {self._pause_s:.1f} s"))
+            states.append(InputState(Health.OK, f"searches are limited: one frame in {self._pause_s:.1f} s"))
         text = "; ".join(state.text for state in states if state.text)
         return InputState(max(state.level for state in states), text)
 
@@ -152,7 +152,7 @@ class InputHealth:
         )
 
     def _log(self, name: str, state: InputState, now_s: float) -> None:
-        """Write a line when a state changes in more than its figures, and each minute while it is not OK."""
+        """Write a line when more than the figures of a state change, and each minute while it is not OK."""
         before, told_s = self._told.get(name, (OK, now_s))
         is_same = (state.level, without_figures(state.text)) == (before.level, without_figures(before.text))
         if is_same and (state.level == Health.OK or now_s - told_s < REMIND_S):

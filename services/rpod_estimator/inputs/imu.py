@@ -23,8 +23,8 @@ class ImuInput(StampedInput[ImuTrack]):
     name, lack = "imu", "behind"
     late_s = 0.05
     alarm = (
-        "{topics} has no reading up to the frame: the chaser's rotation is unknown, and a track "
-        "coasts less long; check its publisher"
+        "{topics} has no reading up to the frame's time: the chaser's rotation is unknown, and a track "
+        "without measurements is lost sooner; check its publisher"
     )
     again = f"{IMU.name}: in order again"
 

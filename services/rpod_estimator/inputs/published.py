@@ -64,7 +64,7 @@ class Published:
         ``refused`` is why the last message of the topic was refused; empty if none was.
         """
         if refused:
-            return f"messages on {awaited} come and are refused, {refused}; let its driver send them right"
+            return f"messages on {awaited} come and are refused, {refused}; correct its driver"
         with self._lock:
             names, elsewhere = sorted(self._sessions), sorted(self._elsewhere)
         if awaited in names:

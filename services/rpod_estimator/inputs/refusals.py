@@ -1,7 +1,7 @@
 """Messages that are no frames and were refused: infos, mounts, parts of frames, diagnostics of drivers.
 
-A refused frame stands in the book of its sensor. These would stand in the log alone, while the sensor's
-frames are used with what was known before.
+A refused frame is counted in the book of its sensor. Without this module only the log would tell of the other
+refused messages, while the sensor's frames are used with what was known before.
 """
 
 from typing import NamedTuple
@@ -16,10 +16,10 @@ STREAM_S = 5.0
 _MOST = 100
 """Largest number of publishers whose refused messages are told."""
 _TOLD_ELSEWHERE = frozenset({Reason.SECOND_PUBLISHER, Reason.DUPLICATE})
-"""Reasons for which a message is refused although nothing is missing; a second publisher is told as such."""
+"""Reasons to refuse a message that do not show an error of it; a second publisher is reported elsewhere."""
 _REMEDY = {
-    True: "it is not used, what was known before counts; let its publisher send it right",
-    False: "it is not used; let its publisher send it right",
+    True: "it is not used, the one before it still counts; correct its publisher",
+    False: "it is not used; correct its publisher",
 }
 """What follows, and what to do, for latched messages and for those of a stream."""
 
@@ -54,7 +54,7 @@ class Refusals:
         self._refusals.pop((topic, session), None)
 
     def forget(self) -> None:
-        """Forget all: who still sends what is refused will be told of again."""
+        """Forget all. A publisher whose messages are still refused will be reported again."""
         self._refusals.clear()
 
     def states(self, now_s: float) -> list[InputState]:

@@ -42,7 +42,7 @@ class StampedInput(ABC, Generic[TrackT]):
     lack: str
     """Name of the counter of frames for which readings are missing."""
     late_s: float
-    """Longest wait for readings up to a frame's stamp, by the wall clock: they need a few milliseconds."""
+    """Longest wait for readings up to a frame's stamp, by the wall clock; usually they take a few ms."""
     alarm: str
     """Message for the operator where readings of ``{topics}`` are missing."""
     again: str
@@ -68,7 +68,7 @@ class StampedInput(ABC, Generic[TrackT]):
     def take_until(self, stamp_ns: int) -> None:
         """Take in what has arrived; wait a little for readings up to a frame's stamp.
 
-        After a wait without a result no other frame waits, until readings are there again.
+        After one wait without a result, later frames do not wait until readings have arrived again.
         """
         if not self._tracks:
             return
@@ -88,7 +88,9 @@ class StampedInput(ABC, Generic[TrackT]):
             try:
                 self._holders.check(name, received.peer, received.arrival_s)
                 if not self.use(self._tracks[name], received):
-                    raise MessageRejectedError(Reason.DUPLICATE, "a reading that is not newer is there")
+                    raise MessageRejectedError(
+                        Reason.DUPLICATE, "a reading with this stamp or a newer one is already in use"
+                    )
                 self._holders.hold(name, received.peer, received.arrival_s)
             except MessageRejectedError as error:
                 self._node.reject(name, error)

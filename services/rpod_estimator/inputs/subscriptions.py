@@ -48,7 +48,7 @@ _CLOCK_LAG_S = 0.2
 
 
 class FrameRefusedError(MessageRejectedError):
-    """The leading part of a frame is refused: the frame gets a status, and stands in its sensor's book."""
+    """The leading part of a frame is refused: the frame gets a status, and its sensor's book counts it."""
 
 
 class Subscriptions:
@@ -82,7 +82,7 @@ class Subscriptions:
         self._kept = KeptMessages(self._holders)
         self._used_with: dict[str, tuple[Peer, Peer]] = {}
         self._leaders: dict[str, tuple[Peer, float]] = {}
-        """Publisher of each sensor's frames, and when the last one of the publisher before it came."""
+        """Publisher of each sensor's frames, and when the last frame of the publisher before it arrived."""
         self._led_s: dict[str, float] = {}
         self._resets: SimpleQueue[str] = SimpleQueue()
         self._lock = Lock()
@@ -150,7 +150,7 @@ class Subscriptions:
             yield arrived
 
     def _put_part(self, received: Received) -> None:
-        """Enqueue a part; count the frame that is dropped for want of room, or of time."""
+        """Enqueue a part; count the frame that is dropped because the inbox is full or the estimator ends."""
         dropped = received if self._ended else self._waiting.put(received)
         if dropped is not None:
             sensor, part = self._reader.parts[dropped.topic.name]
@@ -212,7 +212,7 @@ class Subscriptions:
             self._take_part(received)
         elif received.topic.name == DIAGNOSTICS.name:
             for diagnostic in read_diagnostics(received.decode()):
-                if diagnostic.name != self._config.instance:  # which repeats what drivers say
+                if diagnostic.name != self._config.instance:  # its own repeat what drivers say
                     self.health.take_diagnostic(diagnostic)
         else:
             self._reader.learn(received)
@@ -309,7 +309,7 @@ class Subscriptions:
             log.info("%s: frames arrive %s", sensor, watch.told)
 
     def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
-        """Write a mount to the log in words that a person can check: one sensor alone never shows it."""
+        """Write a mount to the log in words that a person can check: no data of one sensor show its error."""
         told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
         if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
             self._mounts.add(told)
@@ -353,10 +353,10 @@ class Subscriptions:
             raise MessageRejectedError(Reason.CLOCK_STEP, step.told)
 
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
-        """Return whether a part is as new as its frame: a part that lasts, of the publisher of the frames.
+        """Return whether a part is of the publisher of the frames, so that it counts as new as its frame.
 
-        Where sessions are unknown, this is the publisher with whose frames the part was used first, unless it
-        was there while another publisher sent the frames.
+        Where sessions are unknown, the part belongs to the publisher with whose frames it was used first,
+        unless the part arrived while another publisher sent the frames.
         """
         if part.session or leading.session:
             return part.session == leading.session

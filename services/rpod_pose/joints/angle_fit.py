@@ -2,7 +2,7 @@
 
 Each point belongs to the nearer of two surfaces, the joint's parts at an angle and all else of the target.
 The posterior is computed on a grid over all that the angle may be, then on a finer one around its greatest
-value, so that an angle that the frame does not tell, or tells twice, has a large standard deviation. A length
+value, so that an angle that the frame leaves open, or ambiguous, has a large standard deviation. A length
 by which all ranges are too long, such as a camera's wiggling, is estimated from all points in between.
 """
 

@@ -172,7 +172,7 @@ class _Tracker:
             self._shared.points_of(measurement), found.T_sensor_target, found.covariance, angles
         )
         parts = found.parts
-        if parts is not None:  # an angle is off as long as the same is seen of its parts
+        if parts is not None:  # like an error of the model, it lasts as long as the same parts are seen
             by_angles = covariance - found.covariance
             parts = replace(parts, of_model=parts.of_model + by_angles)
         return replace(found, covariance=covariance, parts=parts, angles=angles)

@@ -98,7 +98,7 @@ class ScanFrames:
     ) -> LidarScan:
         """Return a scan without the returns of other things; those that hide the target are ``HIDDEN_M``."""
         seen = self._view.seen(frame)
-        _, places, _ = returns_of(frame.points_m.reshape(-1, 3))
+        _, places, _ = returns_of(np.ascontiguousarray(frame.points_m.reshape(-1, 3)))
         label = np.where(seen.rays >= 0, labels.flat[seen.rays], Label.BEYOND)
         points_m = frame.points_m.reshape(-1, 3).copy()
         points_m[places[label == Label.BEYOND]] = np.nan

@@ -72,7 +72,7 @@ class Pose:
         """Return the logarithm of the integral of the likelihood near the pose: its share of the posterior.
 
         Without samples it is the log likelihood plus the logarithm of the volume of the uncertainty
-        (Laplace's method): among two poses that explain a scan alike, the one that has to be met less exactly
+        (Laplace's method): of two poses that explain a scan equally well, the one with the larger uncertainty
         is more probable.
 
         Args:
@@ -216,7 +216,7 @@ class ScanSearch:
         return every
 
     def _outlined(self, ranked: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, of which those about as likely as the first have the outline."""
+        """Return poses, likeliest first; those about as likely as the first are refined on the outline."""
         likely = self._likely(ranked)
         return self._distinct([*map(self._outline_refined, likely), *ranked[len(likely) :]])
 

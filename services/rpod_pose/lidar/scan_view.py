@@ -51,7 +51,7 @@ class SeenScan:
 
     @property
     def cut_off(self) -> bool:
-        """Whether the outermost rays that measured have returns: the target may extend beyond them."""
+        """Whether the outermost measured rays have returns: the target may extend beyond them."""
         return _ends_return(self.range_m) or _ends_return(self.range_m.T)
 
     def downsampled(self, count: int) -> FloatArray:
@@ -114,7 +114,7 @@ class ScanView:
         de-skewed, or that never repeats. Whether the sensor looked beside a return of the latter is not
         known.
         """
-        points_m, places, range_m = returns_of(scan.points_m.reshape(-1, 3))
+        points_m, places, range_m = returns_of(np.ascontiguousarray(scan.points_m.reshape(-1, 3)))
         organised = scan.points_m.shape[:-1] == self.shape
         rays = places if organised else self._nearest_rays(points_m, range_m)
         off = self._off(points_m / range_m[:, None], rays)

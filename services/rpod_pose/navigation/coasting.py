@@ -1,8 +1,8 @@
 """A track without measurements is predicted until its covariance exceeds the alert limit; then it is lost.
 
 The limit is that of the sensor whose frame the track has accepted last. Below it, the prediction is as good
-as the mission asks of an estimate. A time-out would not tell that. A track with measurements goes on beyond
-the limit, but its estimates are told as of no use.
+as the mission requires of an estimate. A time-out would not ensure this. A track with measurements goes on
+beyond the limit, but its estimates are published as not valid.
 """
 
 from dataclasses import replace

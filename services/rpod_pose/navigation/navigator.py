@@ -137,7 +137,7 @@ class Navigator:
             output = output.after_loss(why, unsupported_s(before.streams, event.stamp_ns))
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
-        if state.mode == Mode.TRACKING and not before.mode.has_track:  # it is offered to the other sensors
+        if state.mode == Mode.TRACKING and not before.mode.has_track:  # the others track it from now on
             state = replace(state, searches={})
         return state, self._judged(state, output)
 
@@ -155,7 +155,7 @@ class Navigator:
         return state, output.after_search(then, pending.age_s(event.stamp_ns))
 
     def _look(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Take a measurement by what is known of the target."""
+        """Process a measurement according to what is known about the target."""
         if state.rivals is not None:
             return self._compare(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
@@ -168,7 +168,7 @@ class Navigator:
     def _follow(
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        """Take a measurement for which there is a prediction."""
+        """Process a measurement for which there is a prediction."""
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
@@ -187,7 +187,7 @@ class Navigator:
         return state, self._judged(state, output)
 
     def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
-        """Return what is told of a search whose result waits for the next frame of its sensor.
+        """Return the report about a search whose result waits for the next frame of its sensor.
 
         The state stays as it is, so that a replay needs to know nothing of it.
         """
@@ -198,7 +198,7 @@ class Navigator:
         return output.noting(BEGUN, 1.0)
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
-        """Return an output with what its covariance says of its use."""
+        """Return an output that says whether its covariance makes it unusable."""
         if output.odometry is None:
             return output
         return replace(output, of_no_use=self._coasting.of_no_use(state, output.odometry.stamp_ns))

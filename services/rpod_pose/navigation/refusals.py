@@ -1,4 +1,4 @@
-"""Poses that the filter's gate refuses: what is told of them."""
+"""Reasons for which the filter's gate refuses poses, for the operator."""
 
 from math import degrees, inf, isfinite
 
@@ -13,7 +13,7 @@ from rpod_schemas.messages import NANOSECONDS
 
 
 class Refusals:
-    """Report of poses that the gate refuses; its only state is its configuration.
+    """Composes the reasons for refused poses; its only state is its configuration.
 
     Args:
         settings: settings of the estimator.

@@ -52,7 +52,7 @@ class Results:
             event: the measurement.
             registration: what the sensor's method found; None if none was asked.
             reason: why the pose was not accepted; empty if it was.
-            search: what is told of a search of the sensor's frames; empty for nothing.
+            search: report about a search of the sensor's frames; empty if there is none.
             nis: normalised innovation squared; NaN if the filter was not asked.
             found: the result of a search without a guess, where one was made.
         """

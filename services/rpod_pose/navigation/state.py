@@ -94,7 +94,7 @@ class Output:
     refused."""
 
     search: str = ""
-    """What is told of a search of the sensor's frames: the end of the status's reason; empty for nothing."""
+    """Report about a search of the sensor's frames, the end of the status's reason; empty for none."""
     lost: str = ""
     """Why the track was lost before an accepted frame that begins it again; empty if it was not."""
     of_no_use: str = ""
@@ -102,12 +102,12 @@ class Output:
 
     @property
     def why(self) -> str:
-        """Reason of the status without what is told of a search."""
+        """Reason of the status without the report about a search."""
         reason = self.status.reason
         return reason.removesuffix(self.search).removesuffix("; ") if self.search else reason
 
     def explained(self, why: str) -> "Output":
-        """Return this output with another reason, before what is told of a search."""
+        """Return this output with another reason, before the report about a search."""
         reason = "; ".join(filter(None, (why, self.search)))
         return replace(self, status=self.status.model_copy(update={"reason": reason}))
 

@@ -38,8 +38,8 @@ of the target, and of the attitude, deg. Hand: a track converges from there; a l
 the frame leaves open."""
 _LEAST_TOLD, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
 """Greatest standard deviation of a first pose over that of any pose of a target that is in view. Physics:
-there the frame tells as much as that assumption. Any angle has the second one, deg; a position has the
-radius."""
+then the frame tells as much as that assumption. The second value is that of any angle, deg; for a position it
+is the radius."""
 _FARTHEST_M = 15.0
 """Greatest distance of the target in a search without a prediction. Hand: beyond, too little light
 returns."""
@@ -186,11 +186,11 @@ class PreparedAcquirer:
         return self._determined(self._acquirer.near(prepared, T_sensor_target))
 
     def _determined(self, found: Acquisition) -> Acquisition:
-        """Return an acquisition whose belief says whether the frame tells anything of each part of the pose.
+        """Return an acquisition whose belief says whether the frame determines each part of the pose.
 
         A long cylinder both of whose ends are outside the image fits at any place along its axis: such a pose
-        must not begin a track. The errors that a camera shares from frame to frame do not hinder it, since
-        the next frame is no better; the covariance contains them. The angle about a free axis does not count.
+        must not begin a track. Errors that a camera's frames share do not prevent a track, since the next
+        frame is no better; the covariance contains them. The angle about a free axis does not count.
         """
         pose, target = found.pose, self._preparation.target
         if pose is None:

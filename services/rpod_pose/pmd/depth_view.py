@@ -34,7 +34,7 @@ class Agreement:
     explained_share: float
     """Weighted share of agreeing pixels among those where model or measurement show a surface."""
     cost_m2: float
-    """Mean squared difference on these pixels, truncated at the tolerance, which one-sided pixels cost."""
+    """Mean squared difference on these pixels, truncated at the tolerance; one-sided pixels count with it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,7 +42,7 @@ _WRAPPING = PmdInfo(
 )
 """Info of a camera whose distances have to be unwrapped."""
 _STRIDE = 4
-"""Stride of the view from which the rays of all pixels are read. Numerics: any other would do."""
+"""Stride of the view from which the rays of all pixels are read. Numerics: any value gives the same rays."""
 LEAST_BIAS_M = 0.001
 """Least standard deviation of the bias left by a calibration. Hand: none stays more accurate for long."""
 

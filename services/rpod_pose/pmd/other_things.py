@@ -100,11 +100,11 @@ class PmdFrames:
         return PartOfFrame.model_construct(**dict(part), whole=whole)
 
     def whole_of(self, frame: PmdFrame) -> PmdFrame | None:
-        """Return the whole frame of a part; None for a frame that is none."""
+        """Return the whole frame of a part; None for a frame that is not a part."""
         return frame.whole if isinstance(frame, PartOfFrame) else None
 
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
-        """Return the z-depth of each pixel, as measured: gate and background are of this."""
+        """Return the z-depth of each pixel, as measured: gate and background refer to it."""
         return frame.range_image_m
 
 

@@ -13,16 +13,16 @@ The search only ranks poses. The tracker refines the best on depth and edges, an
 until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
 The tracker aligns the likely rivals as well, because a pose that was not aligned does not show yet how well
-it explains the frame. A rival is excluded if the tracker refuses it. If the alignment leads it beside another
-pose, the one that explains the frame clearly better is taken, and the covariance contains the distance of the
-two, as far as both are likely. The weights of the poses that are left follow from their likelihoods in the
-whole frame: all its pixels, with the brightness of each face free (``joint.brightness_fit``). The coarse
-pixels of the search do not show the details that distinguish turned poses, and a user knows the materials
-only roughly. An alignment that leads away from a pose that explains the frame better is refused: it ended in
-a false minimum. If a refused pose explains the frame better than the accepted ones, none is accepted: the
-right pose may not be among them. The coarse pixels must say so clearly, and the whole frame must agree: few
-coarse pixels on an outline decide little, and their brightness is that of the file. If the tracker refuses
-all likely poses, the next ones are tried in turn.
+it explains the frame. A rival is excluded if the tracker refuses it. If the alignment moves it close to
+another pose, the one that explains the frame clearly better is taken, and the covariance contains the
+distance of the two, as far as both are likely. The weights of the poses that are left follow from their
+likelihoods in the whole frame: all its pixels, with the brightness of each face free
+(``joint.brightness_fit``). The coarse pixels of the search do not show the details that distinguish turned
+poses, and a user knows the materials only roughly. An alignment that leads away from a pose that explains the
+frame better is refused: it ended in a false minimum. If a refused pose explains the frame better than the
+accepted ones, none is accepted: the right pose may not be among them. Both need the coarse pixels and the
+whole frame: few coarse pixels on an outline decide little, and their brightness is that of the file. If the
+tracker refuses all likely poses, the next ones are tried in turn.
 
 The real target may have other materials than the target file says. If the tracker believes none of the poses
 that are best with the file's materials, the search is repeated with the shape alone, from these poses too.

@@ -28,8 +28,8 @@ PER_HIT = 12
 measured times of four patterns of 441 to 16,384 rays, eight targets of 24 to 12,872 triangles, five ranges.
 The chosen way took 1.01 times the faster one's time on average, 2.5 times at most."""
 LINES = 1024
-"""Number of lines by which the mean silhouette of a mesh is measured. Numerics: to a tenth if it fills 9 % of
-its sphere."""
+"""Number of lines by which the mean silhouette of a mesh is measured. Numerics: its error is a tenth if it
+fills 9 % of its sphere."""
 
 
 class Edges(NamedTuple):

@@ -1,10 +1,10 @@
 """Whether sensors see a known body where its pose says that it is.
 
-A body whose encoders, calibration or file are wrong hides good pixels and leaves its own. A ray that should
-meet the body ends on it, before it (something hides the body there), beyond it, or nowhere. If most of the
-rays that nothing hides end elsewhere, the same shape is looked for nearby: its surface has to be found at one
-offset, and has to end where the body ends, so that a wall behind the body is not taken for it. A body that is
-dark gives no ranges at all. This is told apart: it is not seen, and not checked.
+If encoders, calibration or file of a body are wrong, good pixels are removed, and the body's own pixels stay.
+A ray that should meet the body ends on it, before it (something hides the body there), beyond it, or nowhere.
+If most of the rays that nothing hides end elsewhere, the same shape is searched nearby: its surface has to be
+found at one offset, and has to end where the body ends, so that a wall behind the body is not taken for it. A
+dark body gives no ranges at all. This is a case of its own: the body is not seen, and not checked.
 """
 
 from collections import Counter
@@ -261,8 +261,8 @@ class BodyBook:
     def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
         """Add what a frame of a sensor shows; return whether the body's pose is believed for this frame.
 
-        It is not where the sensor has seen the body elsewhere ``FRAMES`` times, and this frame shows nothing
-        else.
+        The pose is not believed if the sensor has seen the body elsewhere ``FRAMES`` times, and this frame
+        does not show the contrary.
 
         Args:
             sensor: name of the sensor.

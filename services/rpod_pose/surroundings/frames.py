@@ -24,7 +24,7 @@ class Frames(Protocol[FrameT]):
         ...
 
     def separated(self, frame: FrameT, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> FrameT:
-        """Return a frame in which each ray has become what its label says.
+        """Return a frame in which each ray is treated as its label says.
 
         Args:
             frame: the frame.

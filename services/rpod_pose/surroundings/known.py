@@ -1,7 +1,7 @@
 """Knowledge of a sensor's surroundings: a range gate, a mask, and a background without the target.
 
 The background is learned from frames without the target: for each pixel or ray the median range and its
-noise. What agrees with it is no target. It is stored as the arrays of an ``npz`` file.
+noise. What agrees with it is not the target. It is stored as the arrays of an ``npz`` file.
 """
 
 from collections.abc import Iterable

@@ -33,8 +33,8 @@ SIGMAS = 4.0
 """Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
 errors is larger."""
 LEAST_VISIBLE = 0.2
-"""Least share of the target that other things must leave visible. Hand: a track goes on with little;
-``LEAST_VISIBLE_FIRST`` is for its beginning."""
+"""Least share of the target that other things must leave visible. Hand: a track can go on with little;
+``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""
 MOST_CONTINUED = 0.5
 """Greatest share of the outline across which the surface goes on. Hand: more is a part of a larger thing."""
 DETAIL, LEAST_DETAIL = 0.06, 6
@@ -67,7 +67,7 @@ VISIBLE = "visible_share"
 
 
 class TrackerAmongThings(Generic[FrameT]):
-    """Tracks in what a pose leaves of a frame: at first the predicted pose, then the one that is found.
+    """Tracks in the part of a frame that fits a pose: first the predicted pose, then the one that is found.
 
     Args:
         tracker: tracker of frames that show the target alone.
@@ -216,7 +216,7 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     reason = _unlike(sight, most_unexplained)
     if not reason and sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
-        reason = f"a larger thing: the surface goes on across {share}"
+        reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
     if reason and found.continues_track:
         return replace(found, belief=contradicted(reason, **evidence))
     return replace(found, belief=replace(found.belief, evidence=evidence))
@@ -318,9 +318,9 @@ class AcquirerAmongThings(Generic[FrameT]):
     ) -> Acquisition:
         """Return an accepted acquisition, or that of a search in what its pose leaves of the frame.
 
-        At a place other things that touch the target count as its own, so that the search may miss the pose
-        that explains the target best. What the accepted pose leaves shows little else than the target, and
-        the same search weighs all attitudes there.
+        In the first search, other things that touch the target count as its parts, so that it may miss the
+        pose that explains the target best. The part of the frame that the accepted pose leaves shows little
+        beside the target, and the same search compares all attitudes in it.
         """
         assert found.pose is not None  # noqa: S101 - it is accepted
         sight = self._tracker.left_by(fine, found.registration)
@@ -351,9 +351,9 @@ class AcquirerAmongThings(Generic[FrameT]):
             belief = replace(found.belief, evidence=evidence)
             return replace(found, registration=replace(found.registration, belief=belief))
         vague = (
-            f"among other things {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} needed, "
-            f"{visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to end at "
-            f"{outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
+            f"the frame shows other things too: {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} "
+            f"needed, {visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to "
+            f"end at {outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
         )
         belief = replace(found.belief, insufficient=vague, evidence=evidence)
         return replace(found, registration=replace(found.registration, belief=belief))

@@ -1,8 +1,8 @@
 """Units of the depth in which a larger thing in a frame would be of the target's size.
 
-Where a driver gives its depths in another unit than the estimator is told, the target is a body that is
-larger by the ratio of both units, and a part of it may look like the target. An arm that holds the target, or
-a wall that touches it, makes a larger thing too, but in no other unit does this thing look like the target.
+If a driver gives its depths in another unit than the configuration says, the target appears larger by the
+ratio of both units, and a part of it may look like the target. With an arm that holds the target, or a wall
+that touches it, there is a larger thing too, but this thing looks like the target in no other unit.
 """
 
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iter
     measured, points_m = image.range_m > 0.0, image.points_m
     around = measured & (np.linalg.norm(points_m - place_m, axis=-1) < radius_m)
     for ratio in _RATIOS:
-        # what is one thing depends on its size: the surfaces are those of the target in this unit
+        # how a frame divides into things depends on the size: take the target's size in this unit
         every = surfaces(nearer(image, ratio), measured, radius_m)
         things = sorted(every, key=lambda rays: -np.count_nonzero(rays & around))[:1]
         if len(every) > 1 and not at_border(whole := np.logical_or.reduce(every)):

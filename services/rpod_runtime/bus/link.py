@@ -1,8 +1,8 @@
 """Watches the link of a process to the router: when it was lost, and when it was regained.
 
-Zenoh connects again by itself and says nothing, so each process tells it: in a log line, and in its
-diagnostics afterwards. A closed link (a router that was ended or killed) is known at once. One that is silent
-without being closed, such as a pulled cable, is known after Zenoh's lease of 10 s.
+Zenoh reconnects by itself without a message, so each process reports an outage: in a log line, and in its
+diagnostics afterwards. A closed link (a router that was ended or killed) is noticed at once. A link that is
+silent without being closed, as after a cable was pulled, is noticed after Zenoh's lease of 10 s.
 """
 
 import logging

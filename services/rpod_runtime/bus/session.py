@@ -33,7 +33,7 @@ _RETRY_S = 0.25
 _LEAST_TRIES = 3
 """Least number of tries before a client gives up, even after the time: the process may have stood still."""
 _RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
-"""How often a client tries to reach a router that has gone: it is back within half a second of the router."""
+"""How often a client tries to reach a lost router: it reconnects half a second after the router's return."""
 _HANDSHAKE_MS, _PENDING = 1000, 4000
 """Longest time for a new connection to identify itself, and largest number of connections that have not done
 so yet: idle ones keep nobody out."""

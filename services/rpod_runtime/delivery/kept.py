@@ -1,8 +1,8 @@
 """Messages of publishers that do not hold their topic yet, and that may be sent only once.
 
-A camera_info may be sent once, when its driver starts. Where the driver before has just ended, its topic has
-a holder until that one is silent, and the message is refused. It is kept here until its publisher may be
-used. Otherwise its frames would come with the camera_info of the driver before, for ever.
+A driver may send its camera_info only once, when it starts. If another driver has just ended, that one still
+holds the topic, and the message is refused. It is kept here until its publisher may be used. Otherwise the
+frames of the new driver would be used with the camera_info of the old one for ever.
 
 As in ``holders``, times are those of the messages' arrival, s, and memory is bounded.
 """
@@ -43,7 +43,7 @@ class KeptMessages:
             if len(kept) > MOST_PEERS:
                 del kept[next(iter(kept))]
             raise
-        # Who sends after the holder that they waited for is its successor, and they are not.
+        # Messages that waited for an earlier holder lose: this publisher is that holder's successor.
         self._kept[name] = {other: each for other, each in kept.items() if each[0] == peer}
         self._unheld.pop(name, None)
 

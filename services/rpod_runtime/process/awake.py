@@ -1,8 +1,8 @@
 """A clock for patience: it counts the time in which this process ran, not the time that passed.
 
-A process that stood still for seconds (a loaded machine, a suspended one) has messages waiting that it has
-not handled yet. By the monotonic clock it would conclude that the others had been silent, or too slow. By
-this clock it first gives them the rest of their time.
+A process that stood still for seconds (on a loaded or suspended machine) has not yet handled the messages
+that wait for it. By the monotonic clock it would conclude that the others had been silent, or too slow. By
+this clock it gives them the rest of their time first.
 """
 
 import time

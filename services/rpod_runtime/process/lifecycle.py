@@ -68,7 +68,7 @@ def run(
         log.info("%s", error)
         return EXIT_OK
     except NoRouterError as error:
-        stopped = stop.is_set()  # while it waited
+        stopped = stop.is_set()  # a stop while it waits is no failure
         log.log(logging.INFO if stopped else logging.ERROR, "%s", error)
         return EXIT_OK if stopped else EXIT_FAILURE
     except (BusError, SecurityError) as error:

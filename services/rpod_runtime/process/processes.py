@@ -28,7 +28,7 @@ def await_end(process: subprocess.Popen[bytes], limit_s: float) -> int | None:
         try:
             return process.wait(min(left_s, _TURN_S))
         except subprocess.TimeoutExpired:
-            continue  # the next turn asks whether there is time left
+            continue  # the loop checks whether there is time left
     return None
 
 

@@ -75,7 +75,7 @@ def describe(reply: ReloadReply) -> str:
     parts = [f"{name} is {_short(value)}" for name, value in reply.changed.items()] or ["nothing changes"]
     if reply.needs_restart:
         names = ", ".join(reply.needs_restart)
-        parts.append(f"not while it runs: {names}; restart the service, or correct the file")
+        parts.append(f"cannot change while it runs: {names}; restart the service, or correct the file")
     return "; ".join(parts)
 
 

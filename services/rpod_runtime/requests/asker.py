@@ -53,7 +53,7 @@ class Asker:
             return reply.model_validate_json(answer.ok.payload.to_bytes())
         except ValidationError as error:
             raise QueryFailedError(
-                key, f"the answer is no {reply.__name__}; does the service have the same version?"
+                key, f"the answer is not a {reply.__name__}; does the service have the same version?"
             ) from error
 
     def _first_answer(self, key: str, payload: str, timeout_s: float) -> zenoh.Reply:

@@ -1,8 +1,8 @@
 """A service that must be the only one of its name, and of its topics, on a bus.
 
-Two services of one name both answer each query and obey each command; two publishers of one estimate give a
-controller both in turn. So the second one does not start. Where two have come to run all the same, as after
-a link that was down, both say so. A second logger does no harm beside the first, and starts.
+Two services of one name both answer each query and obey each command. From two publishers of one estimate a
+controller receives both in turn. So the second service does not start. If two run nevertheless, for example
+after a link was down, both report it. A second logger does no harm beside the first one, so it may start.
 """
 
 import logging
@@ -70,8 +70,8 @@ def be_sole(
 def _refuse_second(asker: Asker, session: zenoh.Session, pattern: str, instance: str) -> None:
     """Return if no other service of the name answers on the bus.
 
-    One that is gone may have left its liveliness token, until the router notices, but does not answer. One
-    that ends is waited for.
+    A service that is gone may leave its liveliness token until the router notices, but it does not answer. If
+    one is ending, this waits for its end.
 
     Raises:
         AlreadyRunningError: a service of the name is at work.

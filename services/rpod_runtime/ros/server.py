@@ -45,7 +45,7 @@ class ServiceServer:
         with query:
             try:
                 called = unpack_attachment(query.attachment.to_bytes() if query.attachment else None)
-            except MessageRejectedError as error:  # nobody could tell to which call a reply belongs
+            except MessageRejectedError as error:  # without it no reply can be matched to its call
                 log.warning("refused a call of %s: %s", self._service.name, error)
                 query.reply_err(f"{self._service.name}: {error}")
                 return

@@ -1,11 +1,11 @@
 """Whether a sensor's clock drifts so far that its stamps are no longer as exact as they are declared.
 
-A synchronised clock stays where it is, within what is declared of it (``integrity.clock_sigma_s``). Any other
-clock is right at most at the moment at which it was compared last, and that was before the watch began. So
-the drift is too large once it has moved the stamps by more than the declared tolerance since then.
+The error of a synchronised clock stays within its declared tolerance (``integrity.clock_sigma_s``). Any other
+clock was right at best when it was last synchronised, which was before the watch began. So the drift is too
+large once it has moved the stamps by more than the declared tolerance since the watch began.
 
-Delays only add, so that the least age on arrival in each stretch of time follows the clock. A load that comes
-and stays moves the ages in one step, a drift all the time; both halves of the time have to show it.
+Delays only add, so the least age on arrival in each stretch of time follows the clock. A load that begins and
+stays moves the ages in one step, but a drift moves them steadily. So both halves of the time must show it.
 """
 
 from collections import deque
@@ -16,9 +16,9 @@ import numpy as np
 from rpod_schemas.messages import NANOSECONDS
 
 _STRETCH_NS = 5 * NANOSECONDS
-"""Stretch of time of which the least age is kept. Hand: some frames of a sensor at 1 Hz."""
+"""Stretch of time of which the least age is kept. Chosen by hand: some frames of a sensor at 1 Hz."""
 _LEAST, _MOST = 12, 720
-"""Number of stretches from which on a drift is told, a minute, and that are kept, an hour."""
+"""Number of stretches from which on a drift is reported (a minute), and number that is kept (an hour)."""
 CLOCK_SIGMAS = 4.0
 """Error of a clock, in the standard deviations that are declared for it, beyond which it is not synchronised
 as declared."""
@@ -34,11 +34,11 @@ class Drift(NamedTuple):
     ppm: float
     """Rate of the sensor's clock over this machine's, less 1, in 1e-6."""
     moved_s: float
-    """Way that the stamps have moved in the time, s."""
+    """Change of the stamps against this machine's clock over the time, s."""
     time_s: float
 
     def told(self, clock_sigma_s: float) -> str:
-        """Return it for the operator, with figures and remedies."""
+        """Return the text for the operator, with figures and remedies."""
         fast = self.ppm > 0.0
         queue = "" if fast else "; or its frames take longer and longer: look at the driver's queue"
         return (

@@ -21,8 +21,8 @@ from rpod_schemas.types import LidarScan, SensorFrame
 _SECONDS = 5
 _LEAST_SECONDS = 3
 _LONG = 2.0
-"""Span of the times of a scan's points, over the scan's duration or period, from which on their unit is
-wrong: units differ by 1000, and a stated duration may be that of another mode."""
+"""Span of the times of a scan's points, over the scan's duration or period, above which their unit is wrong:
+units differ by 1000, and a stated duration may be that of another mode."""
 
 
 class Last(NamedTuple):
@@ -38,7 +38,7 @@ class Last(NamedTuple):
     """Stated duration of exposure or scan, s; 0 if it is not stated."""
 
     def is_longer_than_a_scan(self, period_s: float) -> bool:
-        """Return whether the points' times span clearly more than a scan can last: one of another unit."""
+        """Return whether the points' times span clearly more than a scan can last: they have another unit."""
         if self.begins_s is None:
             return False
         return self.after_s - self.begins_s > _LONG * min(self.lasts_s or period_s, period_s)
@@ -69,7 +69,7 @@ def last_of(data: SensorFrame, duration_s: float) -> Last:
 
 
 class Finding(NamedTuple):
-    """What stamps and arrivals say against each other."""
+    """A contradiction between stamps and arrivals."""
 
     fault: str
     """Name in the catalogue of faults."""
@@ -144,7 +144,7 @@ class EndWatch:
         return f", {self._link_s:.3f} s of it on the link" if self._link_s < of_s else ""
 
     def finding(self, *, clock_sigma_s: float, within_s: float) -> Finding | None:
-        """Return what is wrong, None if nothing is, or too little came.
+        """Return what is wrong; None if nothing is, or if too few frames have come.
 
         Args:
             clock_sigma_s: standard deviation of the sensor's stamps, as it is declared.
@@ -191,7 +191,7 @@ class EndWatch:
         start = "" if timed else "stamps of the start (set source.stamp and source.duration_s), "
         return (
             f"its stamps may be up to {long_s:.3f} s early: all frames arrive at least that long after the "
-            f"end of exposure or scan{self._on_link(long_s)}, where {within_s:g} s is usual; a clock that is "
-            f"behind (synchronise it), {start}or a slow driver (set source.arrives_within_s); 'rpod "
+            f"end of exposure or scan{self._on_link(long_s)}, where {within_s:g} s is usual; causes: a clock "
+            f"that is behind (synchronise it), {start}or a slow driver (set source.arrives_within_s); 'rpod "
             "calibrate clock' measures it from a log with truth"
         )

@@ -1,8 +1,9 @@
-"""Why a sensor's frames arrive late: held on their way, or stamped by a clock that is behind.
+"""Why a sensor's frames arrive late: they were delayed on their way, or their clock is behind.
 
-One age alone does not tell. But a clock's offset stays, while a delay varies: frames of the same publisher
-came in time before, stamps went on at their pace, and the time from arrival to arrival grew by as much as the
-age. A clock that is set back, or that loses time, makes stamps follow too soon, and arrivals stay even.
+One age alone does not tell. But the offset of a clock stays, while a delay varies. With a delay, earlier
+frames of the same publisher came in time, their stamps kept their pace, and the time between two arrivals
+grew by as much as the age. A clock that is set back, or runs slow, makes stamps too close, and arrivals stay
+even.
 """
 
 from collections import deque
@@ -16,8 +17,8 @@ from rpod_schemas.messages import NANOSECONDS
 _MOST = 1024
 """Frames that are kept: 20 s of a camera at 45 Hz, more than a link holds back."""
 _HALF = 0.5
-"""Share of a growth in age, or of a late frame's age, above which a cause explains it, and of a period below
-which stamps are set back."""
+"""Share of a growth in age, or of a late frame's age, above which a cause explains it. Also the share of a
+period below which the time between two stamps shows that the clock was set back."""
 _PACE = 3
 """Number of arrivals from which on their pace is known."""
 _LINK = "look at the link (range, loss, bandwidth; a camera's reduced rate needs less)"
@@ -52,7 +53,7 @@ class LateWatch:
     def add(
         self, stamp_ns: int, arrival_ns: int, *, arrival_s: float, sent_ns: int = 0, source: object = None
     ) -> None:
-        """Take a frame; a publisher that follows another one has a clock of its own."""
+        """Take a frame. Frames of another publisher start anew, since it has its own clock."""
         if source != self._source:
             self._frames.clear()
             self._source = source
@@ -60,7 +61,7 @@ class LateWatch:
             self._frames.append(_Frame(stamp_ns, sent_ns, arrival_ns, arrival_s))
 
     def why(self) -> str:
-        """Return why the last frame is late, with the remedy, if it was held on its way; else nothing."""
+        """Return why the last frame is late, with the remedy, if it was delayed on its way; else empty."""
         frames = list(self._frames)
         ages_s = [each.age_s for each in frames]
         in_time = [place for place, age_s in enumerate(ages_s) if abs(age_s) <= self._max_age_s]
@@ -76,7 +77,7 @@ class LateWatch:
         )
 
     def _held(self, frames: Sequence[_Frame], pace_s: float) -> str:
-        """Return how the last frame was held, if it was since the first, which came in time."""
+        """Return how the last frame was delayed against the first one; empty if it was not."""
         first, last = frames[0], frames[-1]
         held_s = last.age_s - first.age_s
         if held_s <= 0.0 or not _goes_on(frames, held_s, pace_s):
@@ -87,8 +88,8 @@ class LateWatch:
                 f"source.clock_offset_s of the sensor; another {held_s:.3f} s came on the way: {_LINK}, then "
                 f"{_DRIVER}"
             )
-        told = f"it was held for {held_s:.3f} s"
-        clock = "its clock is as before, when frames came in time"
+        told = f"it was delayed by {held_s:.3f} s"
+        clock = "its clock has not changed since frames came in time"
         if not (first.sent_ns and last.sent_ns):
             return f"{told} on the link or in the driver, {clock}; {_LINK}, then {_DRIVER}"
         sent_late_s = (last.sent_ns - last.stamp_ns - first.sent_ns + first.stamp_ns) / NANOSECONDS

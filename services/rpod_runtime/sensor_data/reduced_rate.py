@@ -1,7 +1,7 @@
 """Publishes a camera's stream of reduced rate: the newest complete frame as soon as the link has room for it.
 
-The pace follows from stamps and sizes: after a frame of N bytes the next one is at least N bytes of the
-link's rate later. So a frame's parts stay together, nothing queues, and the same frames are sent in each run.
+The pace follows from stamps and sizes: after a frame of N bytes the next one is sent no sooner than the link
+needs for N bytes. So a frame's parts stay together, nothing queues, and each run sends the same frames.
 """
 
 from typing import Any
@@ -18,9 +18,9 @@ from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH,
 from rpod_schemas.types import PmdFrame
 
 _BITS = 8e-6
-"""Megabits of a byte."""
+"""Megabits in a byte."""
 _HEAD_BYTES = 500
-"""Size of a camera_info, and at most of what stands around an image, attachment and key included."""
+"""Size of a camera_info, and largest overhead of an image, attachment and key included."""
 
 
 class Pace:

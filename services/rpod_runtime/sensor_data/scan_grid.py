@@ -3,9 +3,10 @@
 A method needs the rays without a return as well as the returns. The points of an organised scan tell the
 azimuth or elevation of each row and column that has returns; the other lines follow from these, since
 scanners have nearly even steps. An unorganised scan has only returns. Where their azimuths or elevations
-gather in lines, the lines are the pattern's, and where only one of them does, the points of a line tell the
-other one's step. Otherwise, as in a scan that never repeats, the pattern has even lines, as far apart as the
-empty circles between the points are wide. Each pattern has as many lines on both sides again.
+gather in lines, these are the lines of the pattern. Where only azimuths or only elevations gather, the points
+within a line tell the step of the other angle. Otherwise, as in a scan that never repeats, the pattern has
+even lines, whose step is the width of the empty circles between the points. An inferred pattern is extended
+on both sides by as many lines as it has.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +24,8 @@ _AHEAD_RAD = np.radians(80.0)
 _LEAST_LINES = 3
 """Least number of rows and of columns with returns from which a pattern is inferred."""
 _DECISIVE = 0.5
-"""Greatest scatter within the lines, over that with rows and columns exchanged, that tells which is which."""
+"""Greatest ratio of the scatter within lines to that with rows and columns exchanged for which it is clear
+which of the two are the lines."""
 _LEVEL = 0.1
 """Greatest scatter of the elevations within the lines of lasers, over that of all elevations."""
 _EVEN = 0.2
@@ -35,20 +37,20 @@ _CHANGED = 0.2
 _GATHERED = 4.0
 """Least ratio of the steps between lines to those within a line."""
 _NARROW = 0.06
-"""Greatest RMS width of lines, over the step between them. Numerics: the lines that points at random seem to
-form are wider in all of 300 drawings each of 6 to 3,000 points."""
+"""Greatest RMS width of lines, over the step between them. Found numerically: the lines that random points
+seem to form are wider in each of 300 random draws of 6 to 3,000 points."""
 _STRAY = 0.25
 """Least number of points of a line over the usual one; fewer are strays between lines."""
 _MARGIN = 8
 """Least number of lines added on both sides of the points of an unorganised scan."""
 _MOST_LINES, _MOST_RAYS = 1024, 2**18
-"""Greatest number of lines that points tell, and of rays of the whole pattern."""
+"""Greatest number of lines that are inferred from points, and of rays of the whole pattern."""
 _OUTSIDE = 0.05
 """Share of an unorganised scan's points outside its pattern from which on it is inferred anew."""
 _MIDDLE = 5_000
 """Number of points, around the middle of a scan, that tell how wide the empty circles are."""
 _NEIGHBOURS = 400
-"""Number of points whose distance to their neighbour is taken."""
+"""Number of points whose distance to their neighbour is measured."""
 
 
 def angles_of(points_m: Float32Array) -> tuple[Angles, Angles, NDArray[np.bool_]]:
@@ -96,7 +98,7 @@ def rows_are_elevation(points_m: Float32Array) -> bool | None:
 
 
 def _in_company(returned: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Return which returns have others in their line: one alone tells nothing of the line."""
+    """Return which returns have others in their line: a single one tells nothing about the line."""
     several: NDArray[np.bool_] = returned & (returned.sum(axis=axis, keepdims=True) > 1)
     return several
 
@@ -129,7 +131,7 @@ class GridInference:
         return staggered.in_order(image)
 
     def learn_rows(self, points_m: Float32Array) -> None:
-        """Learn how far the rows are aside from an organised scan as it was sent, (rows, columns, 3)."""
+        """Learn the azimuth offsets of the rows from an organised scan as it was sent, (rows, columns, 3)."""
         rows, columns = points_m.shape[:2]
         if self._staggered is None or (self._staggered.rows, self._staggered.columns) != (rows, columns):
             self._staggered = StaggeredRows(rows, columns)
@@ -139,7 +141,7 @@ class GridInference:
 
     @property
     def aside_rad(self) -> float:
-        """Greatest azimuth of a row beside the columns, rad; 0 of scans whose rows are not staggered."""
+        """Greatest azimuth offset of a row from the columns, rad; 0 if the rows are not staggered."""
         return 0.0 if self._staggered is None else self._staggered.aside_rad
 
     @property
@@ -347,7 +349,7 @@ def _even(angles: Angles, step_rad: float) -> Angles | None:
 
 
 def _widened(columns: Angles | None, rows: Angles | None) -> tuple[Angles | None, Angles | None]:
-    """Return the lines with as many again on both sides, with a few where these are too many, or none."""
+    """Return the lines, extended on both sides by as many, or by a few, or by none if these are too many."""
     if columns is None or rows is None:
         return None, None
     for most in (_MOST_LINES, _MARGIN):

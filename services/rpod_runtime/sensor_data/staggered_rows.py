@@ -1,14 +1,15 @@
-"""Puts the rows of a turning head's scans in order where each row looks aside by an angle of its own.
+"""Aligns the rows of a turning head's scans where each row has its own azimuth offset (destaggering).
 
-The lasers of a turning head are beside each other, so that the returns of one firing, a column of the cloud,
-have another azimuth in each row. Ouster's rows are up to 4 deg aside, those of others up to 6.
+The lasers of a turning head point to different azimuths, so the returns of one firing, a column of the cloud,
+have another azimuth in each row. Ouster's rows are offset by up to 4 deg, those of others by up to 6.
 With a head that turns evenly, row r and column c look at the azimuth
 
     a(r, c) = s c + b(r)
 
 with the step s of the columns. Each row's own returns give its b. A row is moved by whole columns, so that
-neighbours in the scan are neighbours in the world; what is left, at most half a column, is the row's azimuth
-beside its columns. The cells that are empty then were not measured and are infinite, which tells nothing.
+neighbours in the scan are neighbours in the world. What is left, at most half a column, is the offset of the
+row's azimuth from its columns. Cells that are empty after this were not measured. They are set to infinity,
+which methods do not take for a missing return.
 """
 
 from dataclasses import dataclass, field
@@ -19,28 +20,28 @@ from numpy.typing import NDArray
 from rpod_schemas.types import Float32Array
 
 _LEAST_STAGGER = 0.5
-"""Least azimuth of a row beside the others, in columns, of a staggered scan: another ray is then nearer."""
+"""Least azimuth offset of a row, in columns, for a scan to be staggered: beyond it another ray is nearer."""
 _FIT = 0.2
 """Greatest distance of most returns from the even pattern, in columns; else the columns are not even."""
 _MOST = 0.9
-"""Share of the returns that most of them are: others are of a moving head, or strays."""
+"""Share of the returns that must be near the even pattern; the others are strays, or the head moved."""
 _LEAST_ROWS, _LEAST_RETURNS = 3, 12
 """Least number of rows with returns, and of returns beside each other in rows, that show a pattern."""
 _FEW = 3
-"""Least number of returns in a row that show by how much it is aside."""
+"""Least number of returns in a row that show its offset."""
 _NEAR = 4
 """Greatest number of columns between two returns whose azimuths give the step."""
 _LEARNED = 10
 """Number of scans with returns in a row after which its azimuth is known: a head does not change."""
 _FARTHEST_RAD = np.radians(15.0)
-"""Greatest azimuth of a row beside the others. Lasers of turning heads are within 6 deg."""
+"""Greatest azimuth offset of a row. Lasers of turning heads are within 6 deg."""
 
 Angles = NDArray[np.float64]
 
 
 @dataclass
 class StaggeredRows:
-    """The azimuths of one scanner's rows beside each other, as its scans show them."""
+    """The azimuth offsets of one scanner's rows, as its scans show them."""
 
     rows: int
     """Number of rows of a scan."""
@@ -60,7 +61,7 @@ class StaggeredRows:
 
     @property
     def beside_rad(self) -> Angles | None:
-        """Azimuth of each row beside its columns after it was moved, shape (rows,); None if not staggered."""
+        """Azimuth offset of each row after it was moved, shape (rows,); None if not staggered."""
         if not self.step_rad:
             return None
         beside = np.angle(self._sums * np.exp(-1j * self._first_rad)) - self._shifts * self.step_rad
@@ -68,7 +69,7 @@ class StaggeredRows:
 
     @property
     def aside_rad(self) -> float:
-        """Greatest azimuth of a row beside the others' middle, as the rows were sent; 0 if not staggered."""
+        """Greatest azimuth offset of a row from the middle, as the rows were sent; 0 if not staggered."""
         return float(np.abs(self._shifts).max() * abs(self.step_rad))
 
     def learns(self, points_m: Float32Array) -> bool:

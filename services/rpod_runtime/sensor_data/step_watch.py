@@ -1,15 +1,15 @@
 """Whether the clock of a sensor was set: its stamps jump, while its frames arrive as before.
 
 A delay and a clock that was set back both make a frame look older on its arrival. They differ in what stays
-even. A delayed frame has the stamp that was due, and arrives late. A frame whose clock was set arrives when
-it was due, with a stamp that was not; or its stamp is before that of the frame before it, which no delay
-brings about. What is even is what the sensor itself has shown: each limit follows from the scatter of its own
-last frames and from what is declared of its clock, so that a sensor of uneven stamps is never suspected of
-more than stamps that run backwards.
+regular. A delayed frame has the expected stamp, and arrives late. A frame whose clock was set arrives when
+expected, with an unexpected stamp; or its stamp is before that of the previous frame, which no delay can
+cause. What counts as regular is what the sensor itself has shown: each limit follows from the scatter of its
+own last frames and from the declared accuracy of its clock. So a sensor with irregular stamps is suspected
+only if its stamps run backwards.
 
-While a clock is not understood, its frames are refused: nothing tells when they were measured. That ends when
-the clock is as before, or when its frames are steady for a while and were not set back by more than what an
-exposure or a driver may change: by less than a period, and less than the delay that is usual.
+While a clock is not understood, its frames are refused: nothing tells when they were measured. This ends when
+the clock is as before. It also ends when its frames are steady for a while, and were set back by no more than
+a change of exposure or driver explains: by less than a period, and by less than the usual delay.
 """
 
 from collections import deque
@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 _MOST = 64
 """Number of the last frames that show how even a sensor is."""
 _LEAST = 10
-"""Number of frames from which on that is known, and for which a corrected clock is steady."""
+"""Number of frames from which on this is known, and after which a corrected clock counts as steady."""
 _RECENT = 4
 """Number of the last frames with which a frame is compared: some of them may have been delayed."""
 _STEADY = 3
@@ -43,7 +43,7 @@ class _Frame(NamedTuple):
     stamp_ns: int
     arrival_ns: int
     arrival_s: float
-    """Time of arrival, monotonic clock: a jump of this machine's own clock is none of the sensor's."""
+    """Time of arrival, monotonic clock: a jump of this machine's own clock is not one of the sensor's."""
 
     @property
     def age_s(self) -> float:
@@ -61,7 +61,7 @@ class Step(NamedTuple):
     """A clock that was set, and is not understood yet."""
 
     moved_s: float
-    """Way of the stamps against the arrivals, s; negative if the clock was set back."""
+    """Change of the stamps against the arrivals, s; negative if the clock was set back."""
     jitter_s: float
     """Greatest deviation that the sensor's own jitter explains, s."""
     age_s: float
@@ -71,7 +71,7 @@ class Step(NamedTuple):
     def told(self) -> str:
         """Figures and remedy, for the operator."""
         return (
-            f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, where the jitter of its "
+            f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, while the jitter of its "
             f"frames explains {self.jitter_s:.3f} s: its clock was set, or runs wrong; frames are "
             f"{self.age_s:.3f} s old on arrival now; synchronise it by PTP or chrony, which slew and do not "
             "step, then `reset` the estimator to accept the clock as it is"
@@ -85,7 +85,7 @@ class _Pace(NamedTuple):
     stamp_s: float
     """Greatest deviation of the time between two stamps that is usual, s."""
     arrival_s: float
-    """The same of the time between two arrivals, s."""
+    """The same for the time between two arrivals, s."""
 
     def arrives_as_due(self, before: _Frame, frame: _Frame, frames: int) -> bool:
         """Return whether a frame arrives so many periods after another one."""
@@ -110,7 +110,7 @@ class StepWatch:
     clock_sigma_s: float
     within_s: float
     ended: str = ""
-    """How the last suspicion ended, for the operator; empty but for the frame with which it did."""
+    """How the last suspicion ended, for the operator; set only at the frame with which it ended."""
     _source: object = None
     _frames: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_MOST))
     _held: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_LEAST))
@@ -133,7 +133,7 @@ class StepWatch:
         frame = _Frame(stamp_ns, arrival_ns, arrival_s)
         last = self._held[-1] if self._held else self._frames[-1] if self._frames else frame
         if stamp_ns == last.stamp_ns and last is not frame:
-            return None  # sent again: it tells nothing of the clock
+            return None  # sent again: it tells nothing about the clock
         if source != self._source or abs(frame.host_step_s(last)) > self._declared_s:
             self.forget()
         self._source, self.ended = source, ""
@@ -198,7 +198,7 @@ class StepWatch:
     def _runs_wrong(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
         """Return whether the ages of the last frames grow steadily, while they arrive as due.
 
-        As where a clock loses time from a pause on, so that no frame before them is as usual.
+        This is so if a clock has lost time since a pause, so that none of the frames before is as usual.
         """
         last = [*list(self._frames)[-_STEADY:], frame]
         as_due = all(pace.arrives_as_due(first, later, 1) for first, later in pairwise(last))
@@ -228,7 +228,7 @@ class StepWatch:
         if not is_steady or now_s < -self._declared_s:
             return False
         if before_s < -self._declared_s:
-            return now_s <= self.within_s  # frames arrived before they were measured
+            return now_s <= self.within_s  # before, frames had arrived before they were measured
         return now_s - before_s <= min(self._period_s, self.within_s)
 
     @property

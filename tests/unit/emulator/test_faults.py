@@ -225,8 +225,8 @@ def test_a_size_that_is_asked_for_is_the_faults_size():
         ({"fault": "dropout", "size": 1.5}, "size is 1.5, dropout takes 0 to 1 share of the patches"),
         ({"fault": "frozen", "size": 1.0}, "size: frozen has only one"),
         ({"fault": "stop"}, "stop needs service"),
-        ({"fault": "dropout", "service": "estimator"}, "dropout is none of a service"),
-        ({"fault": "link_stall", "service": "estimator", "sensor": "pmd"}, "none of a sensor"),
+        ({"fault": "dropout", "service": "estimator"}, "dropout is not a fault of a service"),
+        ({"fault": "link_stall", "service": "estimator", "sensor": "pmd"}, "not a fault of a sensor"),
         ({"fault": "kill", "service": "estimator"}, "until the service is started again"),
     ],
 )

@@ -29,7 +29,10 @@ def frame(middle_m: float) -> PmdFrame:
             200.0,
             "it measures 200 to 200 m, where the target is at most 1.9 pixels wide: ",
         ),
-        (0.004, "it measures 0.004 to 0.004 m, inside the target, whose radius is 1 m: .*depth_unit_m"),
+        (
+            0.004,
+            "it measures 0.004 to 0.004 m, which is inside the target, whose radius is 1 m: .*depth_unit_m",
+        ),
     ],
 )
 def test_depth_that_cannot_be_of_the_target_is_told_with_the_field_to_set(middle_m: float, told: str) -> None:

@@ -84,7 +84,7 @@ def test_an_amplitude_that_belongs_to_no_frame_is_told_although_depth_is_used(sh
             health.give_up("pmd", given_up, now_s)
     assert book.used > 50
     assert book.state(now_s).level == level
-    words = "amplitude is not used, without depth: the nearest one is stamped 5.000 ms earlier"
+    words = "amplitude is not used without depth: the nearest one is stamped 5.000 ms earlier"
     assert (words in book.state(now_s).text) == (level == Health.WARN)
 
 

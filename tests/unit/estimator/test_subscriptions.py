@@ -438,7 +438,7 @@ def test_a_burst_from_a_link_that_held_frames_is_told_as_such_and_not_as_the_clo
         if number >= 16:
             (reason,) = reasons
             assert reason.startswith("late: ")
-            assert "it was held for" in reason
+            assert "it was delayed by" in reason
             assert "clock_offset_s" not in reason
 
 
@@ -1255,7 +1255,7 @@ def test_a_refused_info_stands_in_the_message_until_a_right_one_comes():
     assert level == Health.WARN
     assert "lidar/info is refused, malformed: azimuth_rad is -14" in message
     assert "are they degrees?" in message
-    assert "let its publisher send it right" in message
+    assert "correct its publisher" in message
     assert "lidar/info" in message_of(bench, now_s=1000.0)[1]  # a latched message stands
     bench.send(LIDAR_INFO.of("lidar"), lidar_info(), by=DRIVER)
     assert message_of(bench) == (Health.OK, "tracking")

@@ -58,7 +58,10 @@ def test_what_may_not_change_is_named_with_its_place_and_the_remedy(caplog):
     assert reply.needs_restart == ("bus.domain", "compression")
     config, _ = file.told[0]
     assert (config.compression, config.bus.domain, config.split_bytes) == ("lz4", 0, 1 << 20)
-    assert "not while it runs: bus.domain, compression; restart the service, or correct" in describe(reply)
+    assert (
+        "cannot change while it runs: bus.domain, compression; restart the service, or correct"
+        in describe(reply)
+    )
     assert "split_bytes is 1048576" in caplog.text
     assert file.write().needs_restart == ("bus.domain", "compression"), "until it is mended"
     assert file.write(compression="lz4", bus=BusConfig()).needs_restart == ()

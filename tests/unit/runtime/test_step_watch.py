@@ -166,7 +166,7 @@ def test_a_reset_accepts_the_clock_as_it_is_and_the_text_has_figures_and_remedy(
         step = add(one, 0.1 * number - (0.4 if number >= 50 else 0.0), 0.1 * number + 0.01)
         assert (step is not None) == (number >= 50)
     assert step.told.startswith(
-        "its stamps have moved by -0.400 s against their arrival, where the jitter of"
+        "its stamps have moved by -0.400 s against their arrival, while the jitter of"
     )
     assert "explains 0.008 s" in step.told
     assert "synchronise it by PTP or chrony" in step.told

@@ -59,10 +59,10 @@ class DynamicsConfig(Config):
     predicted for minutes by Euler's equations."""
     inertia_sigma: NonNegative = 0.1
     """Relative standard deviation of the target's inertia as its file states it, for ``torque_free``; ratios
-    of the moments are estimated. Raise it if propellant or damage makes the file doubtful; 0 believes it."""
+    of the moments are estimated. Raise it if propellant or damage makes the file doubtful; 0 trusts it."""
     centre_of_mass_sigma_m: NonNegative = 0.0
     """Standard deviation of each coordinate of the centre of mass as the target's file states it, m. Set it
-    to have the centre of mass estimated from the tumbling; 0 believes the file."""
+    to have the centre of mass estimated from the tumbling; 0 trusts the file."""
     orbit: OrbitConfig | None = None
     """The orbit, for a prediction by Clohessy and Wiltshire's equations of free flight. Set it where the
     chaser does not thrust during gaps, or where its IMU measures accelerations."""

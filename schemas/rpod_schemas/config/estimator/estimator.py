@@ -144,8 +144,8 @@ class NavigatorTuning(Tuning):
     """Number of frames of the same sensor after which the result of a search is applied, in lockstep,
     campaigns and replay. A live estimator applies it at the first frame after the search has ended."""
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
-    """Time after which rivals of which none is believed are given up for a new search, s. Errors of the model
-    that favour one of them count no longer than this."""
+    """Time after which rivals are given up for a new search if none of them is believed, s. Errors of the
+    model that favour one of them count no longer than this."""
 
 
 class NavigatorConfig(Config):

@@ -103,7 +103,7 @@ class PmdAcquisitionTuning(Tuning):
     finished: Annotated[Count, BUDGET] = 6
     """Number of best distinct poses that are refined to the end."""
     rival_loss: Annotated[Positive, BY_HAND] = 200.0
-    """Largest difference of loss from the best pose with which one of these is refined on the outline too."""
+    """Largest difference from the best pose's loss up to which such a pose is refined on the outline too."""
     rival_losses: Annotated[
         Positive,
         Provenance(
@@ -112,8 +112,8 @@ class PmdAcquisitionTuning(Tuning):
             "best after the alignment had at most 1.5 times its loss before",
         ),
     ] = 2.0
-    """Greatest loss over that of the best pose with which another is aligned by the tracker as well, and
-    compared again."""
+    """Greatest ratio of a pose's loss to that of the best one up to which the tracker aligns it as well, so
+    that both are compared again."""
     settling: Annotated[int, Field(ge=0), BUDGET] = 6
     """Greatest number of further alignments of a first pose, each from the last one's result, until it
     settles."""

@@ -24,7 +24,7 @@ from rpod_pose.registration.step_posterior import Steps
 from rpod_schemas.arrays import FloatArray
 
 FARTHEST = 4
-"""Number of rays on each side of the outline that may contradict it one behind the other. Numerics: a budget;
+"""Largest number of rays in a row, on each side of the outline, that may contradict it. Numerics: a budget;
 rays farther from the outline do not move it."""
 SAME_LINE, SAME_PLACE = 0.95, 0.1
 """Cosine between two normals, and difference of two distances in units of the rays' distance, up to which two
@@ -38,7 +38,7 @@ corner of the outline two lines meet."""
 
 
 class Scene(NamedTuple):
-    """A scan and a pose at which it is looked at."""
+    """A scan, and the pose at which it is evaluated."""
 
     range_m: FloatArray
     """Measured range of each ray, 0 without a return, shape (rows, columns)."""

@@ -26,7 +26,7 @@ class ChaserStep(NamedTuple):
     turn_variance: float
     """Variance of the turn about each axis, by the noise of the gyro, rad2."""
     unknown_s: float
-    """Part of the time in which nothing tells the chaser's rotation, s."""
+    """Part of the time in which the chaser's rotation is unknown, s."""
     speed_m_s: FloatArray
     """Integral of the measured specific force, shape (3,)."""
     way_m: FloatArray
@@ -36,11 +36,11 @@ class ChaserStep(NamedTuple):
     way_by_bias: FloatArray
     """Derivatives of ``way_m`` by the accelerometer's bias, shape (3, 3)."""
     R_orbit_chaser: FloatArray | None
-    """Attitude in the orbital frame at the start, shape (3, 3); None where nothing tells it."""
+    """Attitude in the orbital frame at the start, shape (3, 3); None if it is unknown."""
     bias_kept: float = 1.0
     """Share of the gyro's bias that is left at the end, where a star tracker takes it out in the step."""
     bias_noise: float = 0.0
-    """Variance about each axis of what comes to this share, (rad/s)^2."""
+    """Variance about each axis of the noise that is added to this share, (rad/s)^2."""
 
 
 class Chaser(Protocol):

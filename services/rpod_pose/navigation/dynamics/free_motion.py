@@ -7,8 +7,8 @@ orbit, less what the chaser's own thrust gains, and the body turns at a constant
 the end the chaser's turn C leads to its axes, and the same relations lead back. The derivatives follow the
 same way, step by step; the errors of q, u and W are estimate minus truth like those of p, v and w.
 
-Further states, where they are there: offset of the centre of mass from the declared one, ratios of the
-inertia, bias of the gyro and of the accelerometer. A state that nothing tells keeps its prior.
+Optional further states: offset of the centre of mass from the declared one, ratios of the inertia, bias of
+the gyro and of the accelerometer. A state that no measurement observes keeps its prior.
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ _NONE = np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class _Extras:
-    """Values of the further states, and their places in the covariance; no place where they are not there."""
+    """Values of the further states, and the places in the covariance of those that the filter has."""
 
     centre_m: FloatArray
     shape: FloatArray

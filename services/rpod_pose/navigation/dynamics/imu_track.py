@@ -82,7 +82,7 @@ class ImuTrack:
         self._sums: list[_Sum] = []
 
     def bias_at(self, stamp_ns: int) -> GyroBias:
-        """Return what the star tracker has told of the gyro's bias up to a stamp."""
+        """Return the estimate of the gyro's bias by the star tracker up to a stamp."""
         return self._at(stamp_ns).bias if self._sums else self._unknown
 
     def covers(self, stamp_ns: int) -> bool:

@@ -51,7 +51,7 @@ class _Grown(NamedTuple):
 
 
 def is_expected(found: Update, predicted: FilterState) -> bool:
-    """Return whether a measured pose tells nothing of larger accelerations than a prediction assumes.
+    """Return whether a measured pose gives no evidence of larger accelerations than a prediction assumes.
 
     The gate decides where a manoeuvre begins. While one lasts, poses are compared with the mean instead: the
     factors follow the target at once, since a lag within the gate grows from frame to frame.

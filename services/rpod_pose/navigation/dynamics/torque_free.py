@@ -5,7 +5,7 @@ They and their derivatives by the rate at the start and by the inertia are integ
 classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
 Equations I, section II.1).
 
-Without torque the scale of the inertia does not matter, and its principal axes are believed, so that two
+Without torque the scale of the inertia does not matter, and its principal axes are taken as declared, so two
 ratios are left. With the principal moments J_i of the declared inertia they are the coefficients c of
 J_i exp(S_i), where S is the sum of two orthogonal vectors of norm 1 and sum 0. So each c leaves the moments
 positive, and c = 0 is the declared inertia. One moment that is wrong by a share e has |c| of about 0.8 e.

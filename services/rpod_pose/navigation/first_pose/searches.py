@@ -26,8 +26,8 @@ SEARCHING = "searching: the result of the frame {:.2f} s ago is awaited"
 SEARCHED = "searching: a search in this frame has begun"
 """Reason for which a frame is not used yet: it is searched."""
 FOUND = "a pose was found, which the next frame has to verify"
-"""Reason for which the frame of a search is not used yet where no frame has come since."""
-RESTING = "not searched: searches in vain rest"
+"""Reason for which the searched frame is not used yet if its sensor has sent no frame since."""
+RESTING = "not searched: no search has found the target, so fewer frames are searched"
 """Reason for which a frame is not searched."""
 BEGUN = "search_begun"
 """Name of the evidence that a search in this frame has begun; its result comes with a later frame."""
@@ -69,7 +69,7 @@ class Search:
 
     @property
     def sent(self) -> "Search":
-        """This search without what only its result's use needs."""
+        """This search without the data that are needed only to use its result."""
         return replace(self, registration=None)
 
     def age_s(self, stamp_ns: int) -> float:
@@ -85,7 +85,7 @@ class Found:
     nearby: bool = False
     """Whether it is that of the surroundings of ``Search.near``."""
     rests: bool = False
-    """Whether the search was not made, because searches in vain rest."""
+    """Whether the search was not made, because unsuccessful searches are limited."""
 
     @classmethod
     def nothing(cls, reason: str) -> "Found":
@@ -94,7 +94,7 @@ class Found:
 
     @classmethod
     def resting(cls) -> "Found":
-        """Return the result of a search that was not made because searches in vain rest."""
+        """Return the result of a search that was not made because unsuccessful searches are limited."""
         return cls(Acquisition(Registration.none(Source.NONE, RESTING)), rests=True)
 
 

@@ -1,9 +1,9 @@
 """Tests of a sensor's frames for errors inside them: residuals of the model, and parts of the data.
 
-A method that can tell gives each registration a ``Misfit`` and a ``PartSolution`` (``rpod_pose.ports``). The
+A method that supports it gives a registration a ``Misfit`` and a ``PartSolution`` (``rpod_pose.ports``). The
 sums of the misfits over a minute test whether the target's model and the pose are right. The position by a
-part of the data is a solution as those without a sensor are: the level contains it, and a test compares it
-with the estimate.
+part of the data is a solution like those without a sensor: the level contains it, and a test compares it with
+the estimate.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,9 +33,9 @@ UNLIKELY = 0.02
 """Share of the risk below which the probability of another size is left out of the levels. Numerics: two of
 these add less than a twentieth."""
 UNRESOLVED = 2.0 / 3.0
-"""Part of the way to another size up to which the frames cannot exclude a size: a likelihood prefers the
-nearer of two sizes, but for a shift that right models have too. Hand: measured, 0.4 to 0.8 % of the size
-(mock-up, ENVISAT), where the other one is 3 % off."""
+"""Part of the way to another size up to which the frames cannot exclude a size. A likelihood prefers the
+nearer of two sizes, apart from a shift that right models show too. Hand: the shift was measured as 0.4 to
+0.8 % of the size (mock-up, ENVISAT), where the other size is 3 % off."""
 _MOST_LOG_ODDS = 50.0
 """Largest log odds of which the exponential is taken. Numerics: it stays finite."""
 
@@ -153,7 +153,7 @@ _Told = TypeVar("_Told")
 def _since(
     told: Mapping[str, tuple[tuple[int, _Told], ...]], oldest_ns: int
 ) -> dict[str, tuple[tuple[int, _Told], ...]]:
-    """Return what was told from a stamp on, by the sensors that told anything."""
+    """Return the entries from a stamp on, without sensors that have none."""
     kept = {name: tuple(each for each in mine if each[0] >= oldest_ns) for name, mine in told.items()}
     return {name: mine for name, mine in kept.items() if mine}
 

@@ -19,8 +19,8 @@ from rpod_schemas.config.estimator.integrity import IntegrityConfig
 COMPONENTS = ("x_m", "y_m", "z_m", "about_x_deg", "about_y_deg", "about_z_deg")
 """Components of an offset and their units, chaser axes."""
 _UNITS = np.repeat([1.0, np.rad2deg(1.0)], 3)
-"""Units of the components over those of the filter's errors: m, and deg for rad. Physics: of the units
-alone."""
+"""Units of the components over those of the filter's errors: m, and deg for rad. Physics: a conversion of
+units."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from math import inf
 
 from rpod_schemas.messages import NANOSECONDS
 
-RESTS = "not searched: the last search was in vain, and another sensor must not wait"
+RESTS = "not searched: the last search found nothing, and another sensor must not wait"
 """Reason for which a frame without a track is not used."""
 PERIODS = 1.5
 """Number of its own periods in which a slow sensor must deliver its next measurement. Hand: half a period for
@@ -81,7 +81,7 @@ def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 
 def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
-    """Return whether a frame is left unsearched, lest unsuccessful searches delay another sensor."""
+    """Return whether a frame is not searched, so that unsuccessful searches do not delay another sensor."""
     searched_ns = streams.get(sensor, Stream()).searched_ns
     return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
 

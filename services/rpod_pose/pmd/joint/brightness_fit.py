@@ -21,7 +21,7 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 ROUNDS = 3
-"""Number of multiplicative steps. Numerics: a budget; the first one tells all but the edges of a face."""
+"""Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
 UNEVEN = 0.15
 """Standard deviation of the brightness within a face, as a share. Hand: half of what surfaces that are not
 Lambertian add to the spread of an albedo (``brightness``)."""

@@ -45,7 +45,7 @@ MERGED_PX = 1.7
 """Distance up to which two edges are one change of the image. Physics: two steps under a normal blur have one
 steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
-"""Displacement below which an edge lies on itself. Physics: rays half a pixel apart show it no better."""
+"""Displacement below which two edges are the same. Physics: rays half a pixel apart do not resolve less."""
 DIRECTIONS = 4
 """Number of directions of edges that are told apart in a pixel. Hand: 45 deg apart; closer ones are one
 change."""

@@ -124,7 +124,7 @@ class JointFrame:
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
         stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
         view = DepthView.of(frame.camera, stride)
-        amplitude = np.ones_like(frame.depth_m) if frame.amplitude is None else frame.amplitude
+        amplitude = _even(frame.depth_m.shape) if frame.amplitude is None else frame.amplitude
         sparse = slice(None, None, SPARSE)
         lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
         least = tuning.ghost_share * float(lit.mean())
@@ -177,6 +177,17 @@ class JointFrame:
     def pixels(self) -> CoarsePixels:
         """Positions of the coarse pixels."""
         return CoarsePixels(self.view.stride, self.view.offset)
+
+
+def _even(shape: tuple[int, ...]) -> NDArray[np.uint16]:
+    """Return the amplitude of a frame without one, the same everywhere.
+
+    It has the type of an image from the bus, for which the kernels are compiled before the first frame.
+    Compiling them for another type would stop tracking for a second or more.
+    """
+    ones = np.ones(shape, np.uint16)
+    ones.setflags(write=False)
+    return ones
 
 
 def _saturated_share(frame: PmdFrame, around: _Window) -> float:

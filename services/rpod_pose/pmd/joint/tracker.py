@@ -64,7 +64,7 @@ STILL_PX = 0.5
 pixel apart."""
 SAME_PX = 0.25
 """Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
-an edge, and rays half a pixel apart tell no more than a quarter."""
+an edge, and rays half a pixel apart resolve a quarter at best."""
 CERTAIN_PX = 1.6
 """Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
 the width of an edge, twice the standard deviation of the smoothing."""

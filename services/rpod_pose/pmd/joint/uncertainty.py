@@ -99,9 +99,9 @@ def uncertainty(
         lines: sums of the lines of edges.
         bias_m: standard deviation of the prior of the bias.
         radius_px: radius of the target in the image, px.
-        wider: factor on all covariances, above 1 where the target is larger than the image. Its longest
-            edges and its faces reach across the image then, and an image that is 1/n of the target wide shows
-            1/n of their lines. What all residuals share averages out over so many fewer.
+        wider: factor on all covariances, above 1 if the target is larger than the image. Its longest edges
+            and its faces then reach across the image, and an image whose width is 1/n of the target shows 1/n
+            of their lines. So errors that the residuals of a line share average out less.
     """
     fit, beside = aligned.fit, aligned.spread
     white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)

@@ -117,7 +117,7 @@ def test_a_good_run_is_called_so_and_a_bad_one_by_its_findings(tmp_path):
     assert failing(good) == set()
     assert assess(find_checks(good, 0)) == "The run passed all checks."
     assert assess(find_checks(good, 2)) == "The run has findings: services."
-    assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Completeness", "Pace"}
+    assert failing(summary_of(tmp_path, unlogged=1, dropped=9)) == {"Log", "Completeness", "Dropped frames"}
 
 
 def test_the_mean_and_the_share_of_nis_are_of_all_frames_that_have_one(tmp_path):

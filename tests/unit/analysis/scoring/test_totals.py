@@ -71,7 +71,7 @@ def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):
         line = headline(summarise(log, run, totals), totals)
     assert line == (
         "Acquired after 0.01 s, tracked 100 % of the time, at most 0 s without a track, "
-        "worst errors 3.00° (at 0.4 s) and 20.0 cm (at 0.9 s), "
+        "worst errors 3.00° (at 0.4 s) and 200.0 mm (at 0.9 s), "
         "the log is complete."
     )
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numba import typeof
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
@@ -11,6 +12,7 @@ from tests.pmd_frames import frame_of, strange_frames
 from rpod_campaign.pmd.world import World, built
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.edge_search import CoarsePixels
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
 from rpod_pose.pmd.joint.fit import (
     LAST_SCALE,
@@ -22,12 +24,14 @@ from rpod_pose.pmd.joint.fit import (
     _shares,
     add_edge_points,
 )
-from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.frame import CoarseRanges, DepthImages, JointFrame, coarse_ranges
 from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.methods import ideal_frames
 from rpod_pose.ports import Registration
 from rpod_pose.registration.field_alignment import FieldEvidence
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.normal_equations import no_sums
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
@@ -185,6 +189,21 @@ def test_depth_goes_on_alone_without_an_amplitude(*, dark: bool) -> None:
     registration = TRACKER.track(blind, off(TRUTH, 1.0, 0.01))
     assert_within(error(registration), 1.5, 0.02)
     assert (registration.source, registration.belief.reason) == (Source.PMD_DEPTH, "")
+
+
+def test_a_frame_without_amplitude_compiles_no_kernel_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a loaded machine an amplitude may come too late; compiling for another type then costs the track."""
+    types = []
+
+    def recorded(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels) -> CoarseRanges:
+        types.append(typeof(images))
+        return coarse_ranges(images, rays_z, pixels)
+
+    monkeypatch.setattr("rpod_pose.pmd.joint.frame.coarse_ranges", recorded)
+    warm, _ = ideal_frames(MOCKUP, TRUTH, None)
+    for seen in (warm, warm.model_copy(update={"amplitude": None})):
+        JointFrame.of(seen, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert types[0] == types[1]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
