@@ -262,7 +262,8 @@ class StepWatch:
         before_s = beside_s[:-_AWAY]
         # a sensor that keeps no schedule, as one that is triggered by hand, wanders away from any
         wanders_s = before_s[_SCHEDULED // 2 :] - before_s[: -_SCHEDULED // 2]
-        return blocks_s, max(self._limit_s(before_s), self._limit_s(wanders_s))
+        shown_s = float(np.abs(before_s).max())
+        return blocks_s, max(self._limit_s(before_s), self._limit_s(wanders_s), shown_s)
 
     def _pace(self) -> _Pace | None:
         """Return how even stamps and arrivals are; None where stamps do not rise."""
