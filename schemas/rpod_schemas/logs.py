@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter
 
 from rpod_schemas.config.base import Config
 
@@ -95,6 +95,10 @@ class Numbers(Config):
     last: Total
     messages: Total
     """Number of the publisher's messages."""
+
+
+NUMBERS = TypeAdapter(list[Numbers])
+"""The numbers of a topic's publishers, as they stand in the record ``publishers``."""
 
 
 class RecoveredTopic(Config):

@@ -53,6 +53,8 @@ class Arrived:
     """Number of frames in a row, up to this one, whose content is that of the frame before."""
     defect: str = ""
     """Defect of the data although the frame can be used, with its remedy; empty if there is none."""
+    hint: str = ""
+    """What the sensor's last frames show that may be why they are refused; empty if nothing."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """Evidence in the status that a live run gave to this frame, in a replay of that run."""
 
@@ -227,9 +229,12 @@ class FrameReader:
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
-            inconsistency = getattr(self._readers[sensor], "inconsistency", "")  # other kinds may have none
+            reader = self._readers[sensor]
+            inconsistency, hint = (
+                getattr(reader, name, "") for name in ("inconsistency", "hint")
+            )  # may have none
             defect = "; ".join(filter(None, (_defect(measurement.data), inconsistency)))
-            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, repeats=repeats, defect=defect)
+            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, "", "", repeats, defect, hint)
         told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
         reason = f"{Reason.FROZEN}: {told}"
         return Arrived(sensor, frame.stamp_ns, arrival_s, None, reason, Reason.FROZEN, repeats)

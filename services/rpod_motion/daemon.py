@@ -12,6 +12,7 @@ from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
+from rpod_runtime.bus.link import utc
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.process.notify import manager
 from rpod_runtime.requests.sole import Sole
@@ -63,12 +64,14 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
         truth = _truth(node, motion, config, epoch_ns, target.centre_of_mass_m)
         first, last = truth.tick(-config.preroll_s), truth.tick(config.duration_s + _tail_s(config))
         node.state = "running"
-        node.health.report(Health.OK, f"playing {config.duration_s:g} s")
+        node.health.report(Health.OK, f"playing {config.duration_s:g} s, begun at {utc(epoch_ns)}")
         if config.speed == "max":
             Lockstep(node, config, truth).play(first, last)
         else:
             first = max(first, _present(truth, first))
             _play_by_the_wall(node, truth, range(first, last + 1), lead_s=config.lead_s)
+        if node.stop.is_set():
+            return
         node.state = "finished"
         node.health.report(Health.OK, "finished")
         log.info("finished after %g s of scenario time", config.duration_s)
@@ -106,7 +109,8 @@ def _tail_s(config: MotionServiceConfig) -> float:
 def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     """Wait for the start and return the epoch; None if the service is stopped before."""
     if not config.await_start:
-        node.ready("playing at once")
+        anew = "" if config.epoch_ns else ", from the beginning: with epoch_ns a restart goes on"
+        node.ready(f"playing at once{anew}")
         return _soon_ns(config)
     started = Event()
     requests: list[StartRequest] = []

@@ -16,6 +16,7 @@ from rpod_geometry.lens import ray_cosines
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.sensor_data.codecs import decompressed
+from rpod_runtime.sensor_data.empty_lines import EmptyLines
 from rpod_runtime.sensor_data.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -188,6 +189,7 @@ class LidarReader:
         self._front: LidarInfo | None = None
         self._seen_rows = True
         self._shown = 0
+        self._empty = EmptyLines()
         self._inconsistencies: dict[str, str] = {}
         self._logged: set[str] = set()
 
@@ -195,6 +197,11 @@ class LidarReader:
     def inconsistency(self) -> str:
         """How info and points of the LIDAR contradict each other; empty if they do not."""
         return "; ".join(self._inconsistencies.values())
+
+    @property
+    def hint(self) -> str:
+        """What its scans show that may be why they are refused; empty if nothing."""
+        return self._empty.told
 
     @property
     def said(self) -> LidarInfo | None:
@@ -218,9 +225,11 @@ class LidarReader:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
             self._inferred.add(scan.points_m, float(np.ptp(time_s)))
         front = self.said
-        if self._whole is None or (scan.organised and front is self._whole):
-            return scan
-        return _ahead_of(scan, self._whole)
+        if self._whole is not None and not (scan.organised and front is self._whole):
+            scan = _ahead_of(scan, self._whole)
+        if scan.organised:
+            self._empty.add(scan.points_m)
+        return scan
 
     def _scan(self, stamp_ns: int, message: Any) -> LidarScan:
         fields = read_points(message)

@@ -125,6 +125,33 @@ def test_for_a_killed_estimator_and_router_those_in_reserve_take_over_and_ps_say
     assert facility.process.wait(DEADLINE_S) == 0
 
 
+def test_a_motion_that_is_started_again_says_that_it_begins_anew_and_one_that_is_stopped_has_not_finished(up):
+    facility = up(
+        {
+            "router": {"verb": "router"},
+            "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
+        }
+    )
+    psutil.Process(facility.service("motion")["pid"]).kill()
+    assert "from the beginning" in facility.service("motion", restarts=1)["message"]
+    facility.process.send_signal(signal.SIGTERM)
+    assert facility.process.wait(DEADLINE_S) == 0
+    log = (facility.path.parent / "hall.state" / "logs" / "motion.log").read_text("utf-8")
+    assert log.count("from the beginning: with epoch_ns a restart goes on") == 2
+    assert "finished" not in log
+
+
+def test_a_signal_that_comes_twice_at_once_as_from_timeout_stops_the_services_as_one_does(up):
+    facility = up({"router": {"verb": "router"}})
+    facility.service("router")
+    for _ in range(2):
+        facility.process.send_signal(signal.SIGTERM)
+        time.sleep(0.05)  # else the kernel makes one of two
+    assert facility.process.wait(DEADLINE_S) == 0
+    log = (facility.path.parent / f"{facility.path.stem}.state" / "logs" / "router.log").read_text("utf-8")
+    assert "was it killed?" not in log
+
+
 def test_a_router_that_hangs_is_killed_and_started_again(up):
     facility = up({"router": {"verb": "router", "hang_s": 1.0}})
     router = psutil.Process(facility.service("router")["pid"])

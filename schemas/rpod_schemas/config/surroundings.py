@@ -55,6 +55,10 @@ Thing = Annotated[BoxThing | CylinderThing | MeshThing, Field(discriminator="kin
 """A thing that sensors see beside the target; ``kind`` chooses its shape."""
 
 
+Line = Annotated[int, Field(ge=0)]
+"""Number of a row or a column, counted from 0."""
+
+
 class SensorSurroundings(Config):
     """Known surroundings of a sensor."""
 
@@ -62,6 +66,11 @@ class SensorSurroundings(Config):
     """Least and greatest range that may be the target's, m."""
     mask: Path | None = None
     """Image of the frame's size (PNG): black pixels are not used; relative to this file."""
+    dead_rows: tuple[Line, ...] = ()
+    """Rows of the sensor's frames that never measure, counted from 0, such as dead channels of a scanner.
+    Their rays tell nothing; without this entry they count as misses of the target."""
+    dead_columns: tuple[Line, ...] = ()
+    """Columns that never measure, counted from 0."""
     background: Path | None = None
     """View of the sensor without the target, written by ``rpod calibrate background``; relative to this
     file."""

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from rpod.up.manager import Asked
 
 _POLL_S = 0.1
+_SAME_S = 0.5
+"""Time within which a second signal is the first one again: ``timeout`` sends it to the process and, at once,
+to its group. Hand: a person who has seen nothing happen asks again later than that."""
 
 
 def up_command(path: Path, *, as_json: bool) -> int:
@@ -49,9 +52,10 @@ def _take(number: int, asked: "Asked") -> None:
     """Stop at the first signal, end at once at the second: the services end when their pipes close."""
     if number == signal.SIGHUP:
         asked.reload = True
-    elif asked.stop:
+    elif not asked.stop:
+        asked.stop, asked.stop_s = True, time.monotonic()
+    elif time.monotonic() - asked.stop_s > _SAME_S:
         os._exit(128 + number)
-    asked.stop |= number != signal.SIGHUP
 
 
 def ps_command(path: Path, *, as_json: bool) -> int:

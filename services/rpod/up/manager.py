@@ -28,6 +28,8 @@ class Asked:
     """Requests by signals. They are plain flags: a handler that sets an event could wait for its own lock."""
 
     stop: bool = False
+    stop_s: float = 0.0
+    """Time of the first signal that asks to stop, monotonic clock."""
     reload: bool = False
 
 

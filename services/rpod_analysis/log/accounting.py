@@ -4,9 +4,9 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from rpod_analysis.log.logged import Logged
+from rpod_analysis.log.numbering import Numbering
 from rpod_schemas.summary import BodyAccount, FrameCount, InputAccount, LostFrames
 from rpod_schemas.texts import without_figures
-from rpod_schemas.topics import SENSOR_CACHE
 from rpod_schemas.types import PUBLISHED, Diagnostic, Health
 
 _DROPPED = "dropped"
@@ -60,10 +60,7 @@ class Account:
     """Counts of a log's messages, and the services' diagnostics, in the order of arrival."""
 
     logged: Counter[str] = field(default_factory=Counter)
-    first: dict[str, int] = field(default_factory=dict)
-    """Lowest sequence number, by topic."""
-    last: dict[str, int] = field(default_factory=dict)
-    """Highest sequence number, by topic."""
+    numbering: Numbering = field(default_factory=Numbering)
     counters: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     """Last value of every counter, by service; the counts before and after a restart are added."""
     alarms: Counter[str] = field(default_factory=Counter)
@@ -78,10 +75,8 @@ class Account:
 
     def take(self, logged: Logged) -> None:
         """Count a message."""
-        name, sequence = logged.topic, logged.sequence
-        self.logged[name] += 1
-        self.first[name] = min(sequence, self.first.get(name, sequence))
-        self.last[name] = max(sequence, self.last.get(name, sequence))
+        self.logged[logged.topic] += 1
+        self.numbering.take(logged)
 
     def take_diagnostic(self, diagnostic: Diagnostic) -> None:
         """Add a service's counters, and its alarm if the level is ERROR."""
@@ -118,16 +113,15 @@ class Account:
     def frames(self) -> dict[str, FrameCount]:
         """Return the counts of every topic in the log.
 
-        The number of published messages is that of the publishers' counters, or otherwise the highest
-        sequence number. Messages from before the log, which the publisher's cache of 90 messages no longer
-        held, do not count as missed.
+        The number of published messages is that of the publishers' counters, or that of their sequence
+        numbers if these say more, as where a publisher was killed after it had last told its counters. What
+        was published before the log began does not count.
         """
         counts: dict[str, FrameCount] = {}
         for topic, logged in sorted(self.logged.items()):
             counted = sum(counters[PUBLISHED + topic] for counters in self.counters.values())
-            before = self.first[topic] - 1 if self.first[topic] > SENSOR_CACHE else 0
-            numbered = self.last[topic] + (self.first[topic] == 0)  # numbers may start at 0
-            published = max((counted or numbered) - before, logged)
+            at_least = max(counted, self.numbering.published(topic))
+            published = max(at_least - self.numbering.before(topic), logged)
             counts[topic] = FrameCount(published=published, logged=logged, missed=published - logged)
         return counts
 

@@ -5,25 +5,22 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from pydantic import TypeAdapter
-
 from rpod_analysis.log.log import Log
 from rpod_analysis.log.log_file import LogFile
 from rpod_schemas.logs import (
     BUS,
     COMPLETENESS,
     COUNTS,
+    NUMBERS,
     PUBLISHERS,
     RECOVERY,
     BusRecord,
-    Numbers,
     Recovery,
     TopicCount,
     check_completeness,
 )
 from rpod_schemas.summary import LogCompleteness
 
-_NUMBERS = TypeAdapter(list[Numbers])
 _OUTAGE = "the logger had no link to the router for some of the time"
 
 
@@ -138,7 +135,7 @@ def _of_recovery(recovery: Recovery) -> tuple[str, ...]:
 def _count_again(publishers: Mapping[str, str], counts: Mapping[str, str]) -> Iterator[str]:
     """Yield the differences between the publishers' numbers and the counts. Raises ``ValueError``."""
     for topic, text in publishers.items():
-        runs, count = _NUMBERS.validate_json(text), TopicCount.model_validate_json(counts.get(topic, "{}"))
+        runs, count = NUMBERS.validate_json(text), TopicCount.model_validate_json(counts.get(topic, "{}"))
         held = sum(run.messages for run in runs)
         gaps = sum(run.last - run.first + 1 - run.messages for run in runs)
         counted = count.missed + count.lost + count.rejected

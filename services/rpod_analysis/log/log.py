@@ -23,7 +23,15 @@ from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
 from rpod_analysis.log.logged import Logged
 from rpod_analysis.log.unreadable import Unreadable
 from rpod_schemas.errors import Reason
-from rpod_schemas.logs import CONFIGURATION, COUNTS, GID_METADATA, SESSION_METADATA, TopicCount
+from rpod_schemas.logs import (
+    CONFIGURATION,
+    COUNTS,
+    GID_METADATA,
+    NUMBERS,
+    PUBLISHERS,
+    SESSION_METADATA,
+    TopicCount,
+)
 from rpod_schemas.messages import read_odometry, read_status, read_transforms
 from rpod_schemas.rmw.wire import GID_BYTES
 from rpod_schemas.topics import ESTIMATE, STATUS, TF_STATIC, Topic, is_latched
@@ -195,6 +203,27 @@ class Log:
                     continue
                 totals[self.name_of(topic)].update(count.model_dump())
         return {topic: TopicCount(**counter) for topic, counter in totals.items()}
+
+    @cached_property
+    def published_before(self) -> dict[str, int]:
+        """Numbers of messages that publishers had sent before their first one in the log, by topic.
+
+        Empty unless the logger recorded the numbers of all files.
+        """
+        firsts: dict[str, dict[str, int]] = defaultdict(dict)
+        for part in self._parts:
+            if not (record := part.metadata(PUBLISHERS)):
+                return {}
+            for topic, text in record.items():
+                try:
+                    publishers = NUMBERS.validate_json(text)
+                except ValueError:
+                    self.unreadable.note(PUBLISHERS, Reason.MALFORMED, f"{topic}: has no numbers")
+                    continue
+                known = firsts[self.name_of(topic)]
+                for each in publishers:
+                    known[each.gid] = min(each.first, known.get(each.gid, each.first))
+        return {topic: sum(max(first - 1, 0) for first in known.values()) for topic, known in firsts.items()}
 
     @cached_property
     def extrinsics(self) -> dict[str, tuple[str, RigidTransform]]:

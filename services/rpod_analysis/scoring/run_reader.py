@@ -60,6 +60,7 @@ class Reader:
         self._unreadable, self._stamps = log.unreadable, StampCheck(log)
         status_topic = STATUS.under(prefix).name
         self.found = Found(sensors, status_topic)
+        self.found.account.numbering.recorded_before = log.published_before
         self._takers: dict[str, Callable[[Logged], None]] = {
             TRUTH.name: self._take_truth,
             ESTIMATE.under(prefix).name: self._take_estimate,

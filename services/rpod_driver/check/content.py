@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_driver.check.observations import Kept, Observations, middle_m
-from rpod_driver.check.result import CheckResult, fail, ok, unchecked
+from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
+from rpod_runtime.sensor_data.empty_lines import EmptyLines
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
+from rpod_schemas.types import LidarScan
 
 _NEAR_M = 0.01
 _SATURATED_SHARE = 0.1
@@ -86,7 +88,18 @@ def returns(seen: Observations) -> CheckResult:
         return fail(line, text, *faults, flicker_share=float(np.median(shares)))
     share = np.median([_filled_share(kept) for kept in filled])
     text = f"{100 * share:.0f} % of pixels or rays have a return"
+    if told := _empty_lines(seen):
+        return note(line, f"{text}; {told}", valid_share=float(share))
     return ok(line, text, valid_share=float(share))
+
+
+def _empty_lines(seen: Observations) -> str:
+    """Return which rows and columns of organised scans never have a return between others that do."""
+    lines = EmptyLines()
+    for kept in seen.kept:
+        if isinstance(kept.frame, LidarScan) and kept.frame.organised:
+            lines.add(kept.frame.points_m)
+    return lines.told
 
 
 def _filled_share(kept: Kept) -> float:

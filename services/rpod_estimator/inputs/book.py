@@ -85,6 +85,8 @@ class SensorBook:
         """Number of its newest frames that are identical to the one before them."""
         self.defect = ""
         """Defect of its newest frame although it can be used; empty if there is none."""
+        self.hint = ""
+        """What its newest frames show that may be why they are refused; empty if there is nothing."""
         self.clock = ""
         """How its stamps and the arrival of its frames contradict each other; empty if they do not."""
         self.drift = ""
@@ -168,7 +170,8 @@ class SensorBook:
         level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
         check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
-        text = "; ".join(filter(None, (latest.text, self.clock, self.drift, self.defect, check)))
+        hint = self.hint if latest.kind == REJECTED else ""
+        text = "; ".join(filter(None, (latest.text, self.clock, self.drift, self.defect, hint, check)))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _bus_silent_s(self, bus_s: float | None) -> float:

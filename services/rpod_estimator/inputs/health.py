@@ -72,7 +72,7 @@ class InputHealth:
             self._health.count(f"dropped/{arrived.sensor}")
         if output.search and not output.why:  # the result of the search is reported at its own frame
             return
-        book.repeats, book.defect = arrived.repeats, arrived.defect
+        book.repeats, book.defect, book.hint = arrived.repeats, arrived.defect, arrived.hint
         if status.accepted:
             book.use(now_s, output.weak_support)
         else:

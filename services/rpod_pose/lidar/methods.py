@@ -96,21 +96,30 @@ class ScanFrames:
         labels: NDArray[np.uint8],
         inside: NDArray[np.bool_],  # noqa: ARG002 - a ray without a return has missed the target
     ) -> LidarScan:
-        """Return a scan without the returns of other things; those that hide the target are ``HIDDEN_M``."""
+        """Return a scan without the returns of other things; those that hide the target are ``HIDDEN_M``.
+
+        So is a ray of an organised scan without a return where something hides the target.
+        """
         seen = self._view.seen(frame)
         _, places, _ = returns_of(np.ascontiguousarray(frame.points_m.reshape(-1, 3)))
         label = np.where(seen.rays >= 0, labels.flat[seen.rays], Label.BEYOND)
         points_m = frame.points_m.reshape(-1, 3).copy()
         points_m[places[label == Label.BEYOND]] = np.nan
         points_m[places[label == Label.HIDING]] = HIDDEN_M
+        if frame.points_m.shape[:-1] == labels.shape:
+            points_m[labels.ravel() == Label.HIDING] = HIDDEN_M
         points_m.setflags(write=False)
         return frame.model_copy(update={"points_m": points_m.reshape(frame.points_m.shape)})
 
     def behind_bodies(self, frame: LidarScan, hides: NDArray[np.bool_]) -> LidarScan:
-        """Return a scan without the returns of known bodies, given by the rays that meet them."""
+        """Return a scan without the returns of known bodies, given by the rays that meet them.
+
+        A ray that told nothing before tells nothing still.
+        """
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
         separated = self.separated(frame, labels, hides)
-        return separated.model_copy(update={"hidden": hides})
+        hidden = hides if frame.hidden is None else frame.hidden | hides
+        return separated.model_copy(update={"hidden": hidden})
 
     def nearer(self, frame: LidarScan, ratio: float) -> LidarScan:
         """Return a scan whose ranges are smaller by a ratio."""

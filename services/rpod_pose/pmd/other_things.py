@@ -87,6 +87,8 @@ class PmdFrames:
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
         hidden = upsampled(hides, frame.depth_m.shape)
         separated = self.separated(frame, labels, np.zeros(hides.shape, np.bool_))
+        if frame.hidden is not None:
+            hidden = hidden | frame.hidden
         return separated.model_copy(update={"hidden": hidden})
 
     def nearer(self, frame: PmdFrame, ratio: float) -> PmdFrame:

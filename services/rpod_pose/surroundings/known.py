@@ -143,6 +143,8 @@ class KnownParts:
     bodies: KnownBodies | None = None
     sensor: str = ""
     """Name of the sensor."""
+    dead_rows: tuple[int, ...] = ()
+    dead_columns: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -166,7 +168,9 @@ class KnownParts:
                 raise KnownSurroundingsError(f"mask {folder / known.mask} is no image that can be read")
             unused = image == 0
         background = None if known.background is None else Background.read(folder / known.background)
-        return cls(frames, known.range_gate_m or (0.0, np.inf), unused, background, bodies, sensor)
+        gate_m = known.range_gate_m or (0.0, np.inf)
+        dead = known.dead_rows, known.dead_columns
+        return cls(frames, gate_m, unused, background, bodies, sensor, *dead)
 
     def without(self, frame: Any) -> Any:
         """Return a frame without what is known to be no target.
@@ -182,10 +186,31 @@ class KnownParts:
         if self.background is not None:
             _require_size("background", self.background.range_m, range_m)
             labels[self.background.agrees(range_m)] = Label.BEYOND
+        unused = self._unused(frame, range_m)
+        if unused is not None:
+            labels[unused] = Label.HIDING
+        return self.frames.separated(frame, labels, np.zeros(labels.shape, np.bool_))
+
+    def _unused(self, frame: Any, range_m: Float32Array) -> NDArray[np.bool_] | None:
+        """Return the pixels or rays that tell nothing, shape (rows, columns); None if there are none."""
         if self.unused is not None:
             _require_size("mask", self.unused, range_m)
-            labels[self.unused] = Label.HIDING
-        return self.frames.separated(frame, labels, np.zeros(labels.shape, np.bool_))
+        if not (self.dead_rows or self.dead_columns):
+            return self.unused
+        if frame.range_image_m is None:
+            raise KnownSurroundingsError(
+                "dead_rows and dead_columns need scans of rows and columns; this one is a list of points: "
+                "let the driver publish organised scans"
+            )
+        unused = np.zeros(range_m.shape, np.bool_) if self.unused is None else self.unused.copy()
+        dead = ("dead_rows", self.dead_rows), ("dead_columns", self.dead_columns)
+        for axis, (name, lines) in enumerate(dead):
+            if lines and max(lines) >= unused.shape[axis]:
+                raise KnownSurroundingsError(
+                    f"{name} names {max(lines)}, the frame has {unused.shape[axis]}, counted from 0"
+                )
+            unused.swapaxes(0, axis)[list(lines)] = True
+        return unused
 
     def of_target(self, frame: Any, stamp_ns: int, T_chaser_sensor: RigidTransform) -> Any:
         """Return a frame without what is known to be no target, also without the known bodies.

@@ -14,11 +14,11 @@ a change of exposure or driver explains: by less than a period, and by less than
 
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import theilslopes
 
 from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
 from rpod_schemas.messages import NANOSECONDS
@@ -33,8 +33,12 @@ _RECENT = 4
 """Number of the last frames with which a frame is compared: some of them may have been delayed."""
 _STEADY = 3
 """Number of steps by which ages have to grow one after the other."""
+_SCHEDULED, _AWAY = 16, 16
+"""Least number of frames that show the schedule of a sensor, and number of the last frames that do not."""
 _SIGMAS = 5.0
 """Deviation of a quantity, in its own standard deviations, beyond which it is not as before."""
+_HALF = 0.5
+"""Share of the deviation of stamps, or of the change of an age, up to which arrivals may deviate likewise."""
 _MAD_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -88,8 +92,12 @@ class _Pace(NamedTuple):
     """The same for the time between two arrivals, s."""
 
     def arrives_as_due(self, before: _Frame, frame: _Frame, frames: int) -> bool:
-        """Return whether a frame arrives so many periods after another one."""
-        return abs(frame.arrival_s - before.arrival_s - frames * self.period_s) <= self.arrival_s
+        """Return whether a frame arrives so many periods after another one, as far as its age has changed.
+
+        If it was delayed, its arrival explains most of that change; if its clock was set, its stamp does.
+        """
+        late_s = frame.arrival_s - before.arrival_s - frames * self.period_s
+        return abs(late_s) <= min(self.arrival_s, _HALF * abs(frame.age_s - before.age_s))
 
     def stamp_is_due(self, before: _Frame, frame: _Frame) -> bool:
         """Return whether there are whole periods between two stamps: frames may be missing."""
@@ -193,7 +201,11 @@ class StepWatch:
             stamp_is_due = is_possible and pace.stamp_is_due(before, frame)
             if is_usual and pace.arrives_as_due(before, frame, frames) and not stamp_is_due:
                 return True
-        return is_possible and self._runs_wrong(frame, np.array([*before_s, off_s]), pace, limit_s)
+        off_s_all = np.array([*before_s, off_s])
+        return is_possible and (
+            self._runs_wrong(frame, off_s_all, pace, limit_s)
+            or self._leaves_its_schedule(frame, off_s_all, pace, limit_s)
+        )
 
     def _runs_wrong(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
         """Return whether the ages of the last frames grow steadily, while they arrive as due.
@@ -201,10 +213,57 @@ class StepWatch:
         This is so if a clock has lost time since a pause, so that none of the frames before is as usual.
         """
         last = [*list(self._frames)[-_STEADY:], frame]
-        as_due = all(pace.arrives_as_due(first, later, 1) for first, later in pairwise(last))
+        steps_s = np.diff([each.arrival_s for each in last])
+        as_due = bool(np.abs(steps_s - pace.period_s).max() <= pace.arrival_s)
+        as_due = as_due and pace.arrives_as_due(last[0], frame, _STEADY)
         grow_s = np.diff(off_s[-_STEADY - 1 :]) * np.sign(off_s[-1])
         grows = bool(grow_s.min() > 0.0 and grow_s.sum() > limit_s)
         return as_due and grows and not pace.stamp_is_due(last[0], frame)
+
+    def _leaves_its_schedule(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
+        """Return whether the stamps of the last frames leave their schedule, while arrivals keep theirs.
+
+        A clock that loses a little with each frame may lose less than the jitter of one frame. A delay of
+        some frames leaves their stamps as they were due, and a sensor of another rate changes both.
+        """
+        frames = [*self._frames, frame]
+        if len(frames) < _SCHEDULED + _AWAY or np.abs(np.median(off_s[-_RECENT:])) <= limit_s:
+            return False
+        first = frames[0]
+        stamps_s = np.array([each.stamp_step_s(first) for each in frames])
+        arrivals_s = np.array([each.arrival_s - first.arrival_s for each in frames])
+        periods = np.append(0.0, np.cumsum(np.maximum(np.round(np.diff(stamps_s) / pace.period_s), 1.0)))
+        leaving_s, most_stamp_s = self._beside_schedule_s(periods, stamps_s)
+        arriving_s, most_arrival_s = self._beside_schedule_s(periods, arrivals_s)
+        last_s = float(leaving_s[-1])
+        leaves = np.diff(leaving_s * np.sign(last_s)).min() > 0.0 and abs(last_s) > 2.0 * most_stamp_s
+        as_due = np.abs(arriving_s).max() <= min(most_arrival_s, _HALF * abs(last_s))
+        half = (len(frames) - _AWAY) // 2
+        first_s, second_s, before_s, arrive_s, stamp_s = (
+            float(np.median(np.diff(times_s[part]) / np.diff(periods[part])))
+            for times_s, part in (
+                (stamps_s, slice(half)),
+                (stamps_s, slice(half, -_AWAY)),
+                (arrivals_s, slice(-_AWAY)),
+                (arrivals_s, slice(-_AWAY, None)),
+                (stamps_s, slice(-_AWAY, None)),
+            )
+        )
+        has_one_rate = abs(first_s - second_s) < _HALF * abs(stamp_s - before_s)
+        keeps_pace = abs(arrive_s - before_s) < abs(arrive_s - stamp_s)
+        return bool(leaves and as_due and has_one_rate and keeps_pace)
+
+    def _beside_schedule_s(self, periods: FloatArray, times_s: FloatArray) -> tuple[FloatArray, float]:
+        """Return how far the last times are from the schedule of the frames before, and its limit, s."""
+        known, known_s = periods[:-_AWAY], times_s[:-_AWAY]
+        slope_s, start_s, *_ = theilslopes(known_s, known)
+        beside_s = times_s - start_s - slope_s * periods
+        blocks_s = np.median(beside_s[-_AWAY:].reshape(-1, _RECENT), axis=1)
+        before_s = beside_s[:-_AWAY]
+        # a sensor that keeps no schedule, as one that is triggered by hand, wanders away from any
+        wanders_s = before_s[_SCHEDULED // 2 :] - before_s[: -_SCHEDULED // 2]
+        shown_s = float(np.abs(before_s).max())
+        return blocks_s, max(self._limit_s(before_s), self._limit_s(wanders_s), shown_s)
 
     def _pace(self) -> _Pace | None:
         """Return how even stamps and arrivals are; None where stamps do not rise."""
@@ -212,7 +271,11 @@ class StepWatch:
         arrivals_s, period_s = np.diff([each.arrival_s for each in self._frames]), self._period_s
         if period_s <= 0.0:
             return None
-        return _Pace(period_s, self._limit_s(stamps_s - period_s), self._limit_s(arrivals_s - period_s))
+        beside_s = stamps_s - np.maximum(np.round(stamps_s / period_s), 1.0) * period_s
+        # late exposures of a busy driver are rare, and the median does not show them
+        shown_s = float(np.abs(beside_s[:-_RECENT]).max())
+        stamp_s = max(self._limit_s(stamps_s - period_s), shown_s)
+        return _Pace(period_s, stamp_s, self._limit_s(arrivals_s - period_s))
 
     def _limit_s(self, deviations_s: FloatArray) -> float:
         return float(_SIGMAS * _MAD_SIGMA * np.median(np.abs(deviations_s)) + self._declared_s)

@@ -15,6 +15,7 @@ from checked_sensors import (
     SECOND_NS,
     Desk,
     facility,
+    facility_frames,
     facility_seen,
     failed,
     ideal_camera,
@@ -373,6 +374,22 @@ def test_surfaces_that_are_no_plane_tell_no_depth_model(monkeypatch):
     seen = watched("pmd", wall_frames(1, 1.5), INFO, latency_s=0.01)
     result = at(judge(seen), "depth_model")
     assert result.level is not Level.FAIL, result.text
+
+
+def test_rows_that_never_have_a_return_between_others_are_noted_with_the_remedy():
+    _, frames = facility_frames("lidar")
+    dead = []
+    for frame in frames:
+        points_m = frame.points_m.copy()
+        points_m[1::4] = np.nan
+        dead.append(frame.model_copy(update={"points_m": points_m}))
+    sensor, _ = facility_frames("lidar")
+    seen = [watched("lidar", each, sensor.info(), latency_s=sensor.latency_s) for each in (frames, dead)]
+    whole, holed = (at(judge(each), "returns") for each in seen)
+    assert whole.level is Level.OK
+    assert holed.level is Level.NOTE
+    assert "gaps in or beside the target, or dead channels" in holed.text
+    assert "write dead_rows: [" in holed.text
 
 
 def test_stamps_that_are_seconds_off_are_not_compared_with_truth():

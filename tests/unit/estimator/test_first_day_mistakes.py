@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from rpod_estimator.estimator import SLOW_SEARCH, SLOW_SEARCH_S, Estimator
 from rpod_estimator.frame_hint import described
 from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.inputs.book import Loss, SensorBook
 from rpod_estimator.inputs.health import InputHealth
 from rpod_pose.measurement import Measurement
 from rpod_runtime import Received
@@ -46,13 +47,16 @@ def sphere():
     return (ways * range_m[..., None]).astype(np.float32)
 
 
+def part_of(points_m):
+    """Return a received message with the points of a scan."""
+    cloud = write_points(1, "lidar", {axis: points_m[..., n].copy() for n, axis in enumerate("xyz")})
+    attachment = Attachment(1, 0, bytes(16))
+    return Received(POINTS.of("lidar"), "k", memoryview(bytes(encode(cloud))), attachment, 0, 0.0)
+
+
 def doubt_of(points_m, said, *, again=None):
     """Return what a reader says of a scan of these points beside an info, and a second one if given."""
-    reader = LidarReader()
-    cloud = write_points(1, "lidar", {axis: points_m[..., n].copy() for n, axis in enumerate("xyz")})
-    part = Received(
-        POINTS.of("lidar"), "k", memoryview(bytes(encode(cloud))), Attachment(1, 0, bytes(16)), 0, 0.0
-    )
+    reader, part = LidarReader(), part_of(points_m)
     for each in (said, again):
         if each is not None:
             reader.learn(write_lidar_info(1, "lidar", each))
@@ -152,3 +156,36 @@ def test_a_search_that_takes_long_is_told_with_what_is_measured_before_ten_secon
     assert SLOW_SEARCH in state.text
     assert "m wide at most: if nothing else is in view, distances are in another unit" in state.text
     assert "source.depth_unit_m" in state.text
+
+
+def test_rows_without_a_return_between_others_are_named_only_where_scans_are_refused():
+    reader, points_m = LidarReader(), sphere()
+    points_m[7:12:2] = np.nan
+    reader.learn(write_lidar_info(1, "lidar", info()))
+    for _ in range(3):
+        reader.read(Assembled(1, {"points": part_of(points_m)}))
+    assert "write dead_rows: [7, 9, 11] for the sensor" in reader.hint
+    assert reader.inconsistency == ""
+    book = SensorBook("lidar", "points", now_s=0.0)
+    book.hint = reader.hint
+    for number in range(1, 40):
+        book.note_arrival(0.1 * number)
+        book.use(0.1 * number)
+    assert book.state(4.0).text == ""
+    for number in range(40, 80):
+        book.note_arrival(0.1 * number)
+        book.lose(Loss("rejected", "37 more are missing"), 0.1 * number)
+    assert "37 more are missing; 3 rows had no return in 3 scans" in book.state(8.0).text
+
+
+def test_columns_of_a_scan_all_around_are_named_as_the_declaration_counts_them_from_the_first_ahead():
+    ahead_m = sphere()
+    ahead_m[:, 13] = np.nan
+    behind = np.full((ahead_m.shape[0], 50, 3), np.nan, np.float32)
+    azimuth_rad = np.concatenate((np.radians(np.linspace(-170.0, -100.0, 50)), AZIMUTH_RAD))
+    reader = LidarReader()
+    reader.learn(write_lidar_info(1, "lidar", info(azimuth_rad)))
+    for _ in range(3):
+        scan = reader.read(Assembled(1, {"points": part_of(np.concatenate((behind, ahead_m), axis=1))}))
+    assert scan.points_m.shape == ahead_m.shape
+    assert "write dead_columns: [13] for the sensor" in reader.hint

@@ -92,6 +92,16 @@ def test_no_frame_of_a_right_clock_is_refused(stamps, network, rate_hz):
         assert not refused, f"seed {seed}: {len(refused)}, {refused[0].told}"
 
 
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 45.0])
+@pytest.mark.parametrize("network", [loaded, load_comes], ids=lambda each: each.__name__)
+def test_no_frame_of_a_driver_that_exposes_late_under_load_is_refused(network, rate_hz):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        late_s = np.where(rng.random(FRAMES) < 0.2, rng.exponential(0.03, FRAMES), 0.0)
+        stamps_s = np.maximum.accumulate(even(rng, 1.0 / rate_hz) + late_s) + 1e-6 * np.arange(FRAMES)
+        assert not verdicts(stamps_s, in_order(network(rng, stamps_s))).any()
+
+
 def verdicts(stamps_s, arrivals_s):
     one = watch()
     return np.array([add(one, *pair) is not None for pair in zip(stamps_s, arrivals_s, strict=True)])
@@ -126,6 +136,17 @@ def test_a_clock_that_loses_time_with_each_frame_is_refused_as_soon_as_its_jitte
     refused = verdicts(times_s - lost_s, arrivals_s)
     assert not refused[:100].any()
     assert refused[101:].all()
+
+
+@pytest.mark.parametrize("jitter_s", [0.003, 0.006])
+def test_a_clock_that_loses_less_with_each_frame_than_its_jitter_is_refused_within_a_second_or_two(jitter_s):
+    for seed in range(10):
+        rng, numbers = np.random.default_rng(seed), np.arange(200)
+        times_s = 0.1 * numbers + rng.exponential(jitter_s, numbers.size)
+        arrivals_s = in_order(jitter(rng, times_s))
+        refused = verdicts(times_s - 0.02 * np.clip(numbers - 99, 0, 50), arrivals_s)
+        assert not refused[:100].any()
+        assert refused[120:150].all()
 
 
 def test_a_clock_that_loses_time_from_a_pause_on_is_refused_within_some_frames():

@@ -11,6 +11,7 @@ from synthetic_log import SyntheticRun
 from rpod_analysis import open_log
 from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.recovery import recover
+from rpod_schemas.errors import Reason
 from rpod_schemas.logs import COMPLETENESS, COUNTS, PUBLISHERS, Numbers
 
 
@@ -86,6 +87,19 @@ def test_the_publishers_numbers_are_counted_again(whole, last, messages, reason)
     said = statement_of(with_records(whole, **{PUBLISHERS: record}))
     assert said.reasons == ((f"/estimate/status: {reason}",) if reason else ())
     assert said.complete is (reason is None)
+
+
+def test_the_record_tells_how_much_was_published_before_the_log(whole):
+    def numbers(gid, first):
+        return {"key": "0/tf", "gid": gid, "first": first, "last": first + 9, "messages": 10}
+
+    instances = [numbers("00", 916), numbers("01", 264), numbers("02", 1), numbers("00", 950)]
+    begun = with_records(whole, **{PUBLISHERS: {"/tf": json.dumps(instances), "/pose": "[{}]"}})
+    with open_log(begun) as log:
+        assert log.published_before == {"tf": 915 + 263}
+        assert log.unreadable.by_topic() == {PUBLISHERS: {Reason.MALFORMED: 1}}
+    with open_log(whole) as log:
+        assert log.published_before == {}
 
 
 def test_a_statement_that_cannot_be_read_counts_as_none_that_is_good(whole):

@@ -215,6 +215,56 @@ def test_what_a_publisher_sent_long_before_the_log_is_not_missed():
     assert (count.published, count.logged, count.missed) == (11, 10, 1)
 
 
+def of_publisher(topic, sequence, gid, *, publish_s, log_s, session="session"):
+    return Logged(
+        topic, "std_msgs/msg/Header", int(log_s * 1e9), int(publish_s * 1e9), sequence, b"", gid, session
+    )
+
+
+def test_a_log_that_begins_in_the_middle_counts_from_its_first_message_on_each_publisher():
+    account = Account()
+    account.take(of_publisher("pmd/depth", 60, "a", publish_s=9.9, log_s=10.0))
+    for sequence in (63, 64, 66):  # the session's info keeps nothing for a logger that comes later
+        account.take(of_publisher("pmd/info", sequence, "b", publish_s=10.1, log_s=10.2))
+    for number in range(916, 920):
+        account.take(of_publisher("status", number, "c", publish_s=9.0, log_s=10.3, session="killed"))
+    account.take_diagnostic(heartbeat("estimator", published__status=919))
+    for number in (1, 2, 4):
+        account.take(of_publisher("status", number, "d", publish_s=11.0, log_s=11.1, session="started again"))
+    account.take_diagnostic(heartbeat("estimator", published__status=4))
+    counts = account.frames()
+    assert (counts["pmd/info"].published, counts["pmd/info"].missed) == (4, 1)
+    assert (counts["status"].published, counts["status"].missed) == (8, 1)
+
+
+def test_a_publisher_that_begins_while_the_log_is_open_has_missed_its_first_messages():
+    account = Account()
+    account.take(of_publisher("truth", 1, "a", publish_s=10.0, log_s=10.0, session="other"))
+    account.take(of_publisher("status", 3, "b", publish_s=12.0, log_s=12.1))
+    assert account.frames()["status"].missed == 2
+
+
+def test_a_message_after_the_last_counters_of_a_killed_publisher_counts_as_published():
+    account = Account()
+    for number in (1, 2, 4, 5):
+        account.take(of_publisher("status", number, "a", publish_s=10.0, log_s=10.0))
+    account.take_diagnostic(heartbeat("estimator", published__status=2))
+    assert (account.frames()["status"].published, account.frames()["status"].missed) == (5, 1)
+
+
+def test_of_messages_that_name_no_publisher_the_loggers_record_tells_where_each_begins():
+    account = Account()
+    account.numbering.recorded_before = {"tf": 915 + 263, "status": 70}
+    for number in (916, 917, 264, 1):
+        account.take(message("tf", number))
+    account.take(of_publisher("status", 71, "a", publish_s=12.0, log_s=12.0))
+    account.take_diagnostic(heartbeat("estimator", published__tf=917))
+    account.take_diagnostic(heartbeat("motion", published__tf=264))
+    account.take_diagnostic(heartbeat("estimator", published__tf=2))
+    count = account.frames()["tf"]
+    assert (count.published, count.logged, count.missed) == (5, 4, 1)
+
+
 def test_the_counters_of_several_publishers_and_of_a_restarted_one_add_up():
     account = Account()
     for sequence in (1, 2, 3, 1, 1, 2):
