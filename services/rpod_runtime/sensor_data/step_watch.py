@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import theilslopes
 
 from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
 from rpod_schemas.messages import NANOSECONDS
@@ -236,7 +235,9 @@ class StepWatch:
         leaving_s, most_stamp_s = self._beside_schedule_s(periods, stamps_s)
         arriving_s, most_arrival_s = self._beside_schedule_s(periods, arrivals_s)
         last_s = float(leaving_s[-1])
-        leaves = np.diff(leaving_s * np.sign(last_s)).min() > 0.0 and abs(last_s) > 2.0 * most_stamp_s
+        leaves = (
+            np.diff(leaving_s * np.sign(last_s)).min() > self._declared_s and abs(last_s) > 2.0 * most_stamp_s
+        )
         as_due = np.abs(arriving_s).max() <= min(most_arrival_s, _HALF * abs(last_s))
         half = (len(frames) - _AWAY) // 2
         first_s, second_s, before_s, arrive_s, stamp_s = (
@@ -254,10 +255,15 @@ class StepWatch:
         return bool(leaves and as_due and has_one_rate and keeps_pace)
 
     def _beside_schedule_s(self, periods: FloatArray, times_s: FloatArray) -> tuple[FloatArray, float]:
-        """Return how far the last times are from the schedule of the frames before, and its limit, s."""
+        """Return how far the last times are from the schedule of the frames before, and its limit, s.
+
+        The schedule is the line of median slope (P. K. Sen, JASA 63, 1968); ``scipy.stats`` has it too, but
+        takes half a second of each start.
+        """
         known, known_s = periods[:-_AWAY], times_s[:-_AWAY]
-        slope_s, start_s, *_ = theilslopes(known_s, known)
-        beside_s = times_s - start_s - slope_s * periods
+        first, second = np.triu_indices(len(known), 1)
+        period_s = np.median((known_s[second] - known_s[first]) / (known[second] - known[first]))
+        beside_s = times_s - np.median(known_s) - period_s * (periods - np.median(known))
         blocks_s = np.median(beside_s[-_AWAY:].reshape(-1, _RECENT), axis=1)
         before_s = beside_s[:-_AWAY]
         # a sensor that keeps no schedule, as one that is triggered by hand, wanders away from any
