@@ -261,8 +261,8 @@ class BodyBook:
     def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
         """Add what a frame of a sensor shows; return whether the body's pose is believed for this frame.
 
-        The pose is not believed if the sensor has seen the body elsewhere in ``FRAMES`` frames in a row, unless
-        this frame shows something else than that.
+        The pose is not believed if the sensor has seen the body elsewhere in ``FRAMES`` frames in a row,
+        unless this frame shows the body in its place.
 
         Args:
             sensor: name of the sensor.
