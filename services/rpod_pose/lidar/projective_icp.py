@@ -155,8 +155,9 @@ class ProjectiveIcp:
         found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
         if not (seen.range_m.any() and np.isfinite(found.information).all()):
             return self._registration(seen, found)
-        sure = is_sure(found, seen.returns, self._reach) and self.model.informative(seen) >= MANY
-        sure = sure and self._is_settled(seen, found)
+        sure = self._is_sure(seen, found)
+        if sure:
+            found, sure = self._settled(seen, problem, found)
         posterior = None
         if not sure:
             found, posterior = self._resumed(seen, problem, found)
@@ -166,9 +167,28 @@ class ProjectiveIcp:
         registration = self._placed(seen, turned, posterior if turned is found else None)
         return self._with_sizes(seen, problem, turned, _uncertain_by(registration, spread))
 
-    def _is_settled(self, seen: SeenScan, found: ScanRegistration) -> bool:
-        spread = neighbourhood(found.information, found.pose, self._reach, stretch=1.0)
-        return self.model.is_settled(seen, found.pose, spread)
+    def _is_sure(self, seen: SeenScan, found: ScanRegistration) -> bool:
+        """Return whether a scan determines a registration that is as likely as a right one."""
+        return is_sure(found, seen.returns, self._reach) and self.model.informative(seen) >= MANY
+
+    def _settled(
+        self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration
+    ) -> tuple[ScanRegistration, bool]:
+        """Return a registration at an optimum, and whether it is surely there.
+
+        While one of a few poses around it is likelier, the registration starts anew from there.
+        """
+        for _ in range(RESUMED):
+            spread = neighbourhood(found.information, found.pose, self._reach, stretch=1.0)
+            start = self.model.likelier(seen, found.pose, spread)
+            if start is None:
+                return found, self._is_sure(seen, found)
+            other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
+            usable = bool(np.isfinite(other.information).all())
+            if not (usable and _log_likelihood(other) > _log_likelihood(found) + CHANCE):
+                break
+            found = other
+        return found, False
 
     def _with_sizes(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration
@@ -185,19 +205,21 @@ class ProjectiveIcp:
     ) -> tuple[ScanRegistration, SampledPosterior | None]:
         """Return a registration that may have been beside the solution, and the posterior around it.
 
-        Samples around it show what else explains the scan. While one of them is likelier, the registration
-        starts anew from there. The posterior is None if a few samples have all the weight.
+        Samples around it show what else explains the scan. If a few of them have all the weight and one is
+        likelier, the registration starts anew from there. The posterior is None if they still have it then.
         """
         for _ in range(RESUMED):
             rough = neighbourhood(found.information, found.pose, self._reach)
             posterior = self.model.posterior(seen, found.pose, rough)
+            if posterior.effective >= SPREAD:
+                return found, posterior
             start = stepped(found.pose, posterior.likeliest)
             least = _log_likelihood(found) + CHANCE
             if not self.model.fit(seen, *start).log_likelihood > least:
-                return found, posterior if posterior.effective >= SPREAD else None
+                break
             other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
             if not _log_likelihood(other) > least:
-                return found, posterior if posterior.effective >= SPREAD else None
+                break
             found = other
         return found, None
 

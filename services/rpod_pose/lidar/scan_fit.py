@@ -237,7 +237,11 @@ class ScanModel:
         )
 
     def is_settled(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> bool:
-        """Return whether a pose is as likely as those around it.
+        """Return whether a pose is as likely as those around it; arguments as for ``likelier``."""
+        return bool(np.isfinite(covariance).all()) and self.likelier(seen, pose, covariance) is None
+
+    def likelier(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> PoseArrays | None:
+        """Return a pose near a given one that is likelier by more than chance, or None if there is none.
 
         An alignment may stop beside the optimum, as where thousands of small faces leave it many steps. A
         pose drawn from the covariance around an optimum is less likely than it, by three units on average.
@@ -247,12 +251,11 @@ class ScanModel:
             pose: the pose.
             covariance: covariance of (dtau, dtheta) as in ``normal_equations``, shape (6, 6).
         """
-        if not np.isfinite(covariance).all():
-            return False
-        steps = steps_of(covariance, DRAWN_POWER)
+        steps = np.vstack((np.zeros(6), steps_of(covariance, DRAWN_POWER)))
         measured, rays = self._cropped(seen, pose)
-        logs = log_likelihoods(measured, pose, np.vstack((np.zeros(6), steps)), rays, self.assumed)
-        return bool(logs.max() <= logs[0] + CHANCE)
+        logs = log_likelihoods(measured, pose, steps, rays, self.assumed)
+        best = logs.argmax()
+        return stepped(pose, steps[best]) if logs[best] > logs[0] + CHANCE else None
 
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
         """Return the posterior of the pose of the target in the sensor near a given one.

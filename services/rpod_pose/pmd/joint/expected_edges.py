@@ -32,6 +32,7 @@ from rpod_pose.pmd.joint.edge_search import (
     imaged,
     steepest,
 )
+from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
@@ -39,6 +40,9 @@ from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
+STILL_PX = 0.5
+"""Motion in the image up to which a rendering still shows which edges to expect. Physics: its rays are half a
+pixel apart."""
 OWN_PX = 1.0
 """Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
 MERGED_PX = 1.7
@@ -178,6 +182,16 @@ class ExpectedEdges(NamedTuple):
         )
 
 
+class EdgeSight(NamedTuple):
+    """Edges and the image in which they are searched."""
+
+    edges: EdgeArrays
+    lens: Lens
+    patch: Patch
+    expected: ExpectedEdges
+    """The samples that the image may show, by a rendering near the pose."""
+
+
 @kernel
 def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> ExpectedEdges:
     """Return the samples of edges that a rendering does not hide.
@@ -245,6 +259,31 @@ def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, focal_px: fl
     turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
     shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
     return float(focal_px * (shifted_m + turned * radius_m) / max(pose.t[2], NEAREST_M))
+
+
+class Sights:
+    """The edges that the image of one frame should show, at the poses that were asked for.
+
+    Args:
+        edges: the model's samples.
+        renderer: renders the target.
+        frame: the frame.
+    """
+
+    def __init__(self, edges: EdgeArrays, renderer: PatchRenderer, frame: JointFrame) -> None:
+        self._edges, self._renderer, self._frame = edges, renderer, frame
+        self._known: list[EdgeSight] = []
+
+    def at(self, pose: PoseArrays) -> EdgeSight:
+        """Return the edges at a pose, by the nearest known rendering if it is near enough."""
+        frame, radius_m = self._frame, self._renderer.radius_m
+        moved = [moved_px(each.expected.pose, pose, radius_m, frame.lens.fx) for each in self._known]
+        if moved and min(moved) < STILL_PX:
+            return self._known[int(np.argmin(moved))]
+        shown = self._renderer.render(frame.rays, frame.per_px, pose)
+        expected = expect_edges(self._edges, frame.lens, frame.patch, shown)
+        self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
+        return self._known[-1]
 
 
 @kernel

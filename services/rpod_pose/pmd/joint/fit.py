@@ -14,15 +14,13 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
 from rpod_pose.pmd.joint.edge_search import (
-    EdgeArrays,
-    Lens,
     Patch,
     Profile,
     across_edge,
     imaged,
     steepest,
 )
-from rpod_pose.pmd.joint.expected_edges import ExpectedEdges
+from rpod_pose.pmd.joint.expected_edges import EdgeSight
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.field_alignment import FieldEvidence, Points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -49,16 +47,6 @@ Hand: about the width over which a change is blurred; expected errors are propor
 SHIFT_PX = 0.5
 """Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
 Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
-
-
-class EdgeSight(NamedTuple):
-    """Edges and the image in which they are searched."""
-
-    edges: EdgeArrays
-    lens: Lens
-    patch: Patch
-    expected: ExpectedEdges
-    """The samples that the image may show, by a rendering near the pose."""
 
 
 class DepthErrors(NamedTuple):

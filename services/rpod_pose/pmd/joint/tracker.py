@@ -30,11 +30,10 @@ from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belie
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, Sights, moved_px
 from rpod_pose.pmd.joint.fit import (
     DepthErrors,
     EdgeErrors,
-    EdgeSight,
     JointProblem,
     Measured,
     add_edge_points,
@@ -59,9 +58,6 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
-STILL_PX = 0.5
-"""Motion in the image up to which a rendering still shows which edges to expect. Physics: its rays are half a
-pixel apart."""
 SAME_PX = 0.25
 """Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
 an edge, and rays half a pixel apart resolve a quarter at best."""
@@ -142,20 +138,20 @@ class JointTracker:
         if isinstance(seen, str):
             return Registration.none(Source.PMD_JOINT, seen)
         tried: list[_Tried] = []
-        sight = self._sight(seen, pose)
-        for start, schedule in self._starts(seen, sight):
-            aligned = self._aligned(seen, sight, start, schedule)
-            tried.append(_Tried(aligned, self._registered(seen, aligned, len(schedule))))
+        sights = self._sights(seen)
+        for start, schedule in self._starts(seen, sights.at(pose)):
+            aligned = self._aligned(seen, sights, start, schedule)
+            tried.append(_Tried(aligned, self._registered(seen, sights, aligned, len(schedule))))
             moved = None
             if not tried[-1].found.begins_track:
-                moved = self._moved_along_sight(seen, aligned.fit.state.pose)
+                moved = self._moved_along_sight(seen, sights, aligned.fit.state.pose)
             if moved is not None:
-                aligned = self._aligned(seen, self._sight(seen, moved.pose), moved, self._near)
+                aligned = self._aligned(seen, sights, moved, self._near)
                 steps = len(schedule) + len(self._near)
-                tried.append(_Tried(aligned, self._registered(seen, aligned, steps)))
+                tried.append(_Tried(aligned, self._registered(seen, sights, aligned, steps)))
             if believed := [each for each in tried if each.found.continues_track]:
                 best = max(believed, key=lambda each: each.found.begins_track)
-                return self._likeliest(seen, pose, best)
+                return self._likeliest(seen, sights, pose, best)
         return max(
             (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
         )
@@ -170,14 +166,16 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str) or len(found) == 1:
             return np.zeros(len(found))
-        problem = self._problem(seen, self._sight(seen, pose), self._near[-1:], self._edge_errors)
+        problem = self._problem(seen, self._sights(seen).at(pose), self._near[-1:], self._edge_errors)
 
         def loss(state: State) -> float:
             return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
 
         return log_likelihoods(found, loss)
 
-    def _likeliest(self, seen: JointFrame, predicted: PoseArrays, tried: "_Tried") -> Registration:
+    def _likeliest(
+        self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"
+    ) -> Registration:
         """Return the registration of the likeliest pose around one that is far from its prediction."""
         aligned, found = tried
         focal_px, radius_m, pose = seen.lens.fx, self._target.radius_m, aligned.fit.state.pose
@@ -190,13 +188,11 @@ class JointTracker:
         best = likeliest(
             aligned,
             loss=lambda each: self._loss(seen, each.fit.state, each.last),
-            aligned_from=lambda start: self._aligned_by(
-                seen, self._sight(seen, start.pose), start, schedule, errors
-            ),
+            aligned_from=lambda start: self._aligned_by(seen, sights, start, schedule, errors),
             px_m=seen.away_m / focal_px,
             radius_m=radius_m,
         )
-        again = self._registered(seen, best, found.iterations + len(schedule))
+        again = self._registered(seen, sights, best, found.iterations + len(schedule))
         return again if again.continues_track >= found.continues_track else found
 
     def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
@@ -216,7 +212,7 @@ class JointTracker:
             far_m = np.maximum(self._far_m, self._least_scale_m(seen))
             yield State(field_aligned(few, pose, self._coarse, far_m), 0.0), self._full
 
-    def _moved_along_sight(self, seen: JointFrame, pose: PoseArrays) -> State | None:
+    def _moved_along_sight(self, seen: JointFrame, sights: Sights, pose: PoseArrays) -> State | None:
         """Return the pose, nearer or farther by the camera's bias, at which most edges are in their place.
 
         A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the
@@ -232,7 +228,7 @@ class JointTracker:
         number = int(min(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px, MOST_MOVES))
         if not number:
             return None
-        best, most, sight = None, self._tuning.near_share, self._sight(seen, pose)
+        best, most, sight = None, self._tuning.near_share, sights.at(pose)
         for move in (move for move in range(-number, number + 1) if move):
             bias_m = move * reach_px / px_per_m
             moved = PoseArrays(pose.R, pose.t * max(1.0 - bias_m / range_m, NEAREST_M / range_m))
@@ -241,23 +237,17 @@ class JointTracker:
                 best, most = State(moved, bias_m), in_place
         return best
 
-    def _sight(self, seen: JointFrame, pose: PoseArrays) -> EdgeSight:
-        """Return the edges that the image should show at a pose."""
-        shown = self._renderer.render(seen.rays, seen.per_px, pose)
-        expected = expect_edges(self._edges, seen.lens, seen.patch, shown)
-        return EdgeSight(self._edges, seen.lens, seen.patch, expected)
-
-    def _aligned(self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray) -> Aligned:
+    def _aligned(self, seen: JointFrame, sights: Sights, state: State, schedule: FloatArray) -> Aligned:
         """Return the likelier one of the alignments with and without edges that merge with others.
 
         The schedule has the shape (S, 2) as in ``JointProblem``, and each row is one step.
         """
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
-        found = self._aligned_by(seen, sight, state, schedule, self._edge_errors)
+        found = self._aligned_by(seen, sights, state, schedule, self._edge_errors)
         if not found.last.sight.expected.merged.any():
             return found
         apart = self._edge_errors._replace(merged=False)
-        other = self._aligned_by(seen, sight, state, schedule, apart)
+        other = self._aligned_by(seen, sights, state, schedule, apart)
         poses = found.fit.state.pose, other.fit.state.pose
         if moved_px(*poses, self._target.radius_m, seen.lens.fx) < SAME_PX:
             return found
@@ -271,7 +261,12 @@ class JointTracker:
         return depth_loss(problem, state) + misfit
 
     def _aligned_by(
-        self, seen: JointFrame, sight: EdgeSight, state: State, schedule: FloatArray, errors: EdgeErrors
+        self,
+        seen: JointFrame,
+        sights: Sights,
+        state: State,
+        schedule: FloatArray,
+        errors: EdgeErrors,
     ) -> Aligned:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
@@ -280,11 +275,14 @@ class JointTracker:
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
-            sight = self._sight_at(seen, sight, state.pose)
+            sight = sights.at(state.pose)
             state = align(self._problem(seen, sight, first, errors), state).state
-        problem = self._problem(seen, self._sight_at(seen, sight, state.pose), last, errors)
+        problem = self._problem(seen, sights.at(state.pose), last, errors)
         problem = near_the_pose(problem, self._planes(seen, state.pose))
         return Aligned(align(problem, state), problem)
+
+    def _sights(self, seen: JointFrame) -> Sights:
+        return Sights(self._edges, self._renderer, seen)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
         """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
@@ -307,12 +305,7 @@ class JointTracker:
         cast_faces(seen.view.coarse.arrays, self._faces, pose.R, pose.t, buffers)
         return Planes.of(self._faces, buffers.triangle.ravel()[seen.pixel])
 
-    def _sight_at(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> EdgeSight:
-        """Return the edges that the image should show at a pose: those given if it is near enough."""
-        moved = moved_px(sight.expected.pose, pose, self._target.radius_m, sight.lens.fx)
-        return sight if moved < STILL_PX else self._sight(seen, pose)
-
-    def _registered(self, seen: JointFrame, aligned: Aligned, steps: int) -> Registration:
+    def _registered(self, seen: JointFrame, sights: Sights, aligned: Aligned, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
         ((R, t), bias), _, (depth, found, _, _) = aligned.fit
@@ -332,7 +325,7 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        covariance, parts = self._uncertainty(seen, aligned)
+        covariance, parts = self._uncertainty(seen, sights, aligned)
         both = (source := source_of(tuning.acceptance, points=points, edges=checked)) is Source.PMD_JOINT
         return Registration(
             source,
@@ -349,10 +342,10 @@ class JointTracker:
             by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
         )
 
-    def _uncertainty(self, seen: JointFrame, aligned: Aligned) -> Uncertainty:
+    def _uncertainty(self, seen: JointFrame, sights: Sights, aligned: Aligned) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
         fit, last = aligned.fit, aligned.last
-        sight = self._sight_at(seen, last.sight, fit.state.pose)
+        sight = sights.at(fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)

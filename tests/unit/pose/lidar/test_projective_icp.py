@@ -21,8 +21,9 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.scan_registration import refined
 from rpod_pose.registration.field_alignment import Points, field_aligned
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar.search import ProjectiveIcpConfig, ProjectiveIcpTuning
 from rpod_schemas.poses import make_pose, pose_error, pose_of
@@ -300,3 +301,21 @@ def nees_of_wide_beams(seed):
     assert found.begins_track
     assert np.isfinite(ranges_m[0]).sum() < met.sum()
     return nees(truth, found)
+
+
+@pytest.mark.parametrize("target", [BULKY, MESH])
+def test_a_registration_beside_its_optimum_starts_anew_from_a_likelier_pose(target):
+    method = tracker(target)
+    for seed in range(4):
+        T = random_pose(seed, 20.0)
+        seen = method.view.seen(scan_at(T, target, frame=seed))
+        problem = method._problem(seen)
+        right = refined(problem, PoseArrays.of(T), seen.range_m, method.model.assumed, method._reach)
+        sigma = np.sqrt(np.diag(np.linalg.inv(right.information)))
+        pose = stepped(right.pose, 6.0 * sigma * np.random.default_rng(seed).choice((-1.0, 1.0), 6))
+        beside = right._replace(pose=pose, statistics=method.model._statistics(seen, pose))
+        found, sure = method._settled(seen, problem, beside)
+        assert sure
+        step = step_between(pose_of(*right.pose), pose_of(*found.pose))
+        assert step @ right.information @ step < 0.5 * 36.0
+        assert found.statistics.agreement.log_likelihood > beside.statistics.agreement.log_likelihood + 3.0

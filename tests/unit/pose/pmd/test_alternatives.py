@@ -51,7 +51,7 @@ def aligned(T: RigidTransform) -> Aligned:
     seen = prepared(FRAME)
     pose = PoseArrays.of(T)
     found = TRACKER._aligned_by(
-        seen, TRACKER._sight(seen, pose), State(pose, 0.0), TRACKER._narrow, TRACKER._edge_errors
+        seen, TRACKER._sights(seen), State(pose, 0.0), TRACKER._narrow, TRACKER._edge_errors
     )
     return found._replace(fit=found.fit._replace(state=State(pose, 0.0)))
 
@@ -123,7 +123,7 @@ def test_the_covariance_contains_the_distance_to_the_other_alignment() -> None:
     seen = prepared(frame())
     one = aligned(TRUTH)
     other = one.beside(aligned(off(TRUTH, 2.0, 0.0)), 0.0)
-    alone, beside = (TRACKER._uncertainty(seen, each) for each in (one, other))
+    alone, beside = (TRACKER._uncertainty(seen, TRACKER._sights(seen), each) for each in (one, other))
     more = beside.covariance - alone.covariance
     assert np.degrees(np.sqrt(np.trace(more[3:, 3:]))) == pytest.approx(2.0 * np.sqrt(0.5), rel=1e-3)
     np.testing.assert_allclose(beside.parts.of_image - alone.parts.of_image, more, atol=1e-12)
@@ -200,3 +200,15 @@ def test_a_loss_that_is_steeper_than_the_covariance_is_no_more_evidence_than_thi
 
     logs = log_likelihoods(found, loss)
     assert logs[0] - logs[1] == pytest.approx(8.0 * kept, rel=0.35)
+
+
+def test_a_frame_is_rendered_again_only_where_the_target_has_moved_in_it() -> None:
+    sights, seen = TRACKER._sights(prepared(FRAME)), prepared(FRAME)
+    across_m = seen.away_m / seen.lens.fx
+    near, far = (off(TRUTH, 0.0, pixels * across_m, 1) for pixels in (0.05, 5.0))
+    first = sights.at(PoseArrays.of(TRUTH))
+    assert sights.at(PoseArrays.of(near)) is first
+    other = sights.at(PoseArrays.of(far))
+    assert other is not first
+    assert sights.at(PoseArrays.of(far)) is other
+    assert sights.at(PoseArrays.of(near)) is first

@@ -13,14 +13,13 @@ from rpod_campaign.pmd.world import World, built
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import CoarsePixels
-from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, expect_edges
 from rpod_pose.pmd.joint.fit import (
     LAST_SCALE,
     SCALE,
     DepthErrors,
     EdgeErrors,
     EdgeEvidence,
-    EdgeSight,
     _shares,
     add_edge_points,
 )
