@@ -55,6 +55,8 @@ class ReplayReport(Config):
     """Path of the replayed log, the first file if there are several."""
     out: str
     """Path of the new log with truth, old estimates, and new ones under ``replay``."""
+    replaced: bool = False
+    """Whether an older file was replaced by it."""
     as_live: bool
     """Whether exactly the frames of the live run were used."""
     frames: Count

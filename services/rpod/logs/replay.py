@@ -3,7 +3,7 @@
 import json
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Event
@@ -157,6 +157,7 @@ def _replay(
     return ReplayReport(
         log=str(opened.paths[0]),
         out=str(replayed.out),
+        replaced=replayed.replaced,
         as_live=as_live,
         frames=replayed.frames,
         missing=replayed.missing,
@@ -218,18 +219,25 @@ def _print_report(report: ReplayReport) -> None:
             f"{between.attitude_deg.max:.3g} deg and {1e3 * between.position_m.max:.3g} mm",
             highlight=False,
         )
+    for note in _notes(report):
+        console.print(note)
+    console.print(f"log   {report.out}", soft_wrap=True, highlight=False)
+
+
+def _notes(report: ReplayReport) -> Iterator[str]:
     if report.missing:
-        console.print(f"{report.missing} frames of the live run are not in the log")
+        yield f"{report.missing} frames of the live run are not in the log"
     for name, count in report.refused.items():
-        console.print(f"{count} messages of {name} could not be used")
+        yield f"{count} messages of {name} could not be used"
     for name, count in report.second_publisher.items():
-        console.print(f"{count} messages of {name} are not used: another publisher held the topic")
+        yield f"{count} messages of {name} are not used: another publisher held the topic"
     for name, publishers in report.undivided.items():
         told = "the log does not say which of them sent which message, so that all are used"
-        console.print(f"{name} had {publishers} publishers; {told}")
+        yield f"{name} had {publishers} publishers; {told}"
     if report.resets:
-        console.print(f"{report.resets} resets of the live run are repeated")
+        yield f"{report.resets} resets of the live run are repeated"
     if report.unknown_resets:
         told = "their requests are not in the log"
-        console.print(f"{report.unknown_resets} resets of the live run are not repeated: {told}")
-    console.print(f"log   {report.out}", soft_wrap=True, highlight=False)
+        yield f"{report.unknown_resets} resets of the live run are not repeated: {told}"
+    if report.replaced:
+        yield "An older file was replaced; --out NAME keeps both"

@@ -52,6 +52,8 @@ class Replayed:
 
     out: Path
     """The new log: truth, the old estimates, and the new ones under ``replay``."""
+    replaced: bool
+    """Whether an older file was replaced by it."""
     prefix: str
     """Prefix of the logged estimates' topics."""
     frames: int
@@ -118,7 +120,7 @@ def replay(
     new = out or beside(log.paths[0], REPLAY)
     if new.resolve() in {path.resolve() for path in log.paths}:
         raise CannotWriteError(new, "is the log itself; give another name with --out")
-    target = load_target(config.target)
+    replaced, target = new.exists(), load_target(config.target)
     recorded = RecordedSearches() if as_live else None
     estimator = Estimator(config, target, recorded.of if recorded else None)
     reader = FrameReader(config.sensors)
@@ -145,6 +147,7 @@ def replay(
         raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
     return Replayed(
         out=new,
+        replaced=replaced,
         prefix=old,
         frames=len(feed.processing_s),
         missing=frames.missing,

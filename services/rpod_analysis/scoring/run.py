@@ -43,6 +43,8 @@ class Statuses:
     processing_s: FloatArray
     sensor: NDArray[np.str_]
     reason: NDArray[np.str_]
+    lost_before: BoolArray
+    """Whether the track was lost between the status before and this one."""
 
     def __len__(self) -> int:
         return self.stamp_ns.size
@@ -275,8 +277,8 @@ def _truth(rows: list[Row]) -> Track:
 
 
 def _statuses(rows: list[Row]) -> Statuses:
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 8
-    stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason = columns
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 9
+    stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason, lost_before = columns
     return Statuses(
         stamp_ns=np.array(stamp_ns, np.int64),
         mode=np.array(mode, np.int64),
@@ -286,6 +288,7 @@ def _statuses(rows: list[Row]) -> Statuses:
         processing_s=np.array(processing_s, np.float64),
         sensor=np.array(sensor, np.str_),
         reason=np.array(reason, np.str_),
+        lost_before=np.array(lost_before, bool),
     )
 
 

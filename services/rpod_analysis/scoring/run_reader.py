@@ -103,6 +103,7 @@ class Reader:
             (
                 read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
                 status.processing_s, status.sensor, status.reason or _lost(read.evidence),
+                LOST_AFTER_S in read.evidence,
             )
         )  # fmt: skip
 

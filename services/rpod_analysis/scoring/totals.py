@@ -108,7 +108,8 @@ class RunTotals:
         self._time_ns = self._tracked_ns = 0
         self._gap_ns = self._longest_gap_ns = 0
         self.lost_ns = 0
-        """Time in LOST or ACQUIRING after the first TRACKING, ns; a mode lasts until the next status."""
+        """Time in LOST or ACQUIRING after the first TRACKING, ns. A mode lasts until the next status; if that
+        one tells that the track was lost before it, this time counts as LOST."""
         self.latency_s, self.processing_s, self.nis = Column(), Column(), Column()
         self.dof = 6
         """Degrees of freedom of NEES and NIS."""
@@ -202,8 +203,9 @@ class RunTotals:
         stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
         mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
         self._last = int(stamp_ns[-1]), int(mode[-1])
-        self._take_times(np.diff(stamp_ns), mode[:-1] == Mode.TRACKING)
-        self._take_lost(run.seconds(stamp_ns)[:-1], np.diff(stamp_ns), mode[:-1])
+        held = np.where(statuses.lost_before[1 - len(earlier) :], Mode.LOST, mode[:-1])
+        self._take_times(np.diff(stamp_ns), held == Mode.TRACKING)
+        self._take_lost(run.seconds(stamp_ns)[:-1], np.diff(stamp_ns), held)
         for index in np.flatnonzero(np.diff(mode)) + 1:
             self.change_count += 1
             if len(self.changes) < _MOST_CHANGES:

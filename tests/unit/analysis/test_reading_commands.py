@@ -93,7 +93,8 @@ def test_a_replay_is_told_as_a_table_or_json(tmp_path):
     config.write_text(json.dumps(model.model_dump(mode="json")), "utf-8")
     report = ReplayReport.model_validate_json(rpod("replay", log, "--config", config, "--json").stdout)
     assert (report.frames, report.new.frames, report.old.estimates) == (4, 4, 4)
-    assert Path(report.out) == tmp_path / "run.replay.mcap"
+    assert (Path(report.out), report.replaced) == (tmp_path / "run.replay.mcap", False)
     shown = rpod("replay", log, "--config", config, "--as-live").stdout
     assert "4 frames replayed" in shown
+    assert "An older file was replaced" in shown
     assert "common poses are identical" in shown

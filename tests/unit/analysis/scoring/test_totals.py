@@ -49,7 +49,9 @@ def test_a_track_that_one_frame_ends_and_begins_again_is_told_with_its_reason(tm
     def frame(number, _time_s):
         return Frame(mode=V if number == 5 else T, evidence={"lost_after_s": 1.25} if number == 5 else {})
 
-    lost, again = totals_of(tmp_path, frame=frame).changes
+    totals = totals_of(tmp_path, frame=frame)
+    assert totals.lost_ns == 100_000_000
+    lost, again = totals.changes
     assert (lost.before, lost.after) == (T, V)
     assert lost.told == (
         "the track was lost: no measurement was accepted for 1.25 s, and the covariance of the prediction "
