@@ -161,9 +161,12 @@ def _methods(found: TargetCheck) -> Table:
         title_justify="left",
         box=None,
         padding=(0, 1, 0, 0),
+        caption="ambig.: several poses, the right one among them; refused: no pose is accepted; wrong: a "
+        "wrong pose is accepted; deg, mm: median error of the accepted poses; s: median time of a frame",
+        caption_justify="left",
     )
     table.add_column("method", no_wrap=True)
-    for name in ("right", "ambig.", "refused", "wrong", "deg", "mm", "ms"):
+    for name in ("right", "ambig.", "refused", "wrong", "deg", "mm", "s"):
         table.add_column(name, justify="right", no_wrap=True)
     for each in found.methods:
         all_ = each.total
@@ -171,15 +174,27 @@ def _methods(found: TargetCheck) -> Table:
             f"{each.sensor}.{each.name}{'*' * each.default}",
             f"{all_.right} of {all_.frames - all_.unseen}" if all_.frames else "not tried",
             *(str(count) if all_.frames else "-" for count in (all_.ambiguous, all_.refused, all_.wrong)),
-            "-" if all_.attitude_deg is None else f"{all_.attitude_deg:.2g}",
-            "-" if all_.position_m is None else f"{1e3 * all_.position_m:.2g}",
-            "-" if each.median_ms is None else f"{each.median_ms:.0f}",
+            _short(all_.attitude_deg),
+            _short(all_.position_m, 1e3),
+            _short(each.median_ms, 1e-3),
         )
     return table
 
 
+def _short(value: float | None, factor: float = 1.0) -> str:
+    """Return a number in two digits, or in whole units from 100 on; "-" for None."""
+    if value is None:
+        return "-"
+    return f"{factor * value:.0f}" if abs(factor * value) >= 99.5 else f"{factor * value:.2g}"
+
+
 def _accuracy(found: TargetCheck) -> Table:
-    table = Table(title="smallest error of one frame (1 sigma, worst axis)", title_justify="left")
+    table = Table(
+        title="smallest error of one frame (1 sigma, worst axis)",
+        title_justify="left",
+        caption="points: returns or pixels on the target; edges: edges of the model that the sensor resolves",
+        caption_justify="left",
+    )
     for name in ("sensor", "range, m", "points", "position, mm", "attitude, deg", "edges"):
         table.add_column(name, justify="left" if name == "sensor" else "right")
     for sensor in found.accuracy:
@@ -188,8 +203,8 @@ def _accuracy(found: TargetCheck) -> Table:
                 sensor.sensor,
                 f"{at.range_m:.3g}",
                 str(at.points),
-                "-" if at.sigma_position_m is None else f"{1e3 * at.sigma_position_m:.2g}",
-                "-" if at.sigma_attitude_deg is None else f"{at.sigma_attitude_deg:.2g}",
+                _short(at.sigma_position_m, 1e3),
+                _short(at.sigma_attitude_deg),
                 str(found.edges_seen[sensor.sensor][f"{at.range_m:.4g}"]),
             )
     return table

@@ -9,6 +9,7 @@ from rpod_campaign.engine import Options
 from rpod_campaign.engine.errors import ForeignFolderError, TrialFailedError, WorkerDiedError
 from rpod_campaign.engine.executor.pool import ProcessPool
 from rpod_campaign.engine.report.content import Table
+from rpod_campaign.engine.report.numbers import NONE
 from rpod_campaign.engine.report.page import write_page
 from rpod_campaign.engine.report.statistics import mean, quantile, rate
 from rpod_campaign.engine.run import Prepared, prepare, results
@@ -190,3 +191,11 @@ def test_names_that_all_rows_share_go_into_the_title_of_a_table():
     assert condensed == Table(
         "Success (target a, step 30 deg)", ("range, m", "rate"), (("20", "1"), ("50", "1"))
     )
+
+
+def test_a_column_without_any_value_is_left_out_of_a_table():
+    columns = ("range, m", "paper", "ICP, ms", "rate")
+    rows = (("20", "", NONE, "1"), ("50", "0.9", NONE, "1"))
+    assert Table("", columns, rows).condensed(1).columns == ("range, m", "paper", "rate")
+    assert Table("", columns, rows[:1]).condensed(0).columns == ("range, m", "rate")
+    assert Table("", columns, ()).condensed(1).columns == columns

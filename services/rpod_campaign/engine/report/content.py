@@ -15,13 +15,14 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
     def condensed(self, names: int) -> "Table":
-        """Return the table with columns of equal values moved into its title.
+        """Return the table with columns of equal values moved into its title, without empty columns.
 
         Args:
             names: number of first columns that may move there.
         """
         shared = [k for k in range(names) if self.rows and len({row[k] for row in self.rows}) == 1]
-        kept = [k for k in range(len(self.columns)) if k not in shared]
+        empty = [k for k in range(names, len(self.columns)) if {row[k] for row in self.rows} <= {"", NONE}]
+        kept = [k for k in range(len(self.columns)) if k not in (*shared, *(empty if self.rows else ()))]
         about = ", ".join(_said(self.columns[k], self.rows[0][k]) for k in shared if self.rows[0][k] != NONE)
         return Table(
             f"{self.title} ({about})" if about else self.title,
