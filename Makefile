@@ -14,7 +14,7 @@ MINUTES ?= 60
 # One more than the processors of a small machine: a fifth of the time of tests that start processes is waiting.
 WORKERS ?= 3
 
-.PHONY: help run test bounds check format lint types layers docs site document-tests bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types mypy pyright layers docs site document-tests bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -42,8 +42,12 @@ format: $(READY) ## Formatting, checked
 lint: $(READY) ## Lint
 	$(BIN)/ruff check
 
-types: $(READY) ## mypy strict and pyright
+types: mypy pyright ## mypy strict and pyright
+
+mypy: $(READY)
 	$(BIN)/mypy
+
+pyright: $(READY)
 	$(BIN)/pyright
 
 layers: $(READY) ## Import layers

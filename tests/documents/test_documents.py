@@ -3,11 +3,14 @@
 How a document has a block treated otherwise stands in ``blocks``, and for authors in CONTRIBUTING.md.
 """
 
+import fcntl
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,17 +28,22 @@ LONGEST_README = 700
 
 @pytest.fixture(scope="module")
 def log_of(tmp_path_factory) -> Callable[[str], Path]:
-    """Return the log of a short run of a scenario, made once."""
-    folder = tmp_path_factory.mktemp("logs")
+    """Return the log of a short run of a scenario, made once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "logs"
+    folder.mkdir(exist_ok=True)
 
     def made(scenario: str) -> Path:
-        found = sorted(folder.glob(f"{scenario}-*/{scenario}.mcap"))
-        if not found:
-            options = ["--duration", f"{RUN_S:g}", "--speed", "max", "--out", str(folder)]
-            command = [sys.executable, "-m", "rpod", "run", scenario, *options]
-            subprocess.run(command, check=True, capture_output=True, timeout=240.0)
-            found = sorted(folder.glob(f"{scenario}-*/{scenario}.mcap"))
-        return found[0]
+        with (folder / f"{scenario}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # another worker may play it
+            done = folder / scenario
+            if not done.exists():
+                out = tempfile.mkdtemp(dir=folder)
+                options = ["--duration", f"{RUN_S:g}", "--speed", "max", "--out", out]
+                command = [sys.executable, "-m", "rpod", "run", scenario, *options]
+                subprocess.run(command, check=True, capture_output=True, timeout=240.0)
+                Path(out).rename(done)
+            return next(done.glob(f"*/{scenario}.mcap"))
 
     return made
 
