@@ -168,7 +168,7 @@ def _strided(
     Args:
         frame: the frame.
         shown: pixels whose depth is used, shape (H, W).
-        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
+        dim: amplitude above which a pixel is lit unless noise explains it; infinite if unknown.
         view: the coarse pixels.
         reach_m: distance along a ray within which a surface belongs to the target, m.
     """
@@ -197,7 +197,7 @@ def _amplitudes(
         amplitude: amplitude of all pixels, shape (H, W).
         view: the coarse pixels.
         unmeasured: coarse pixels without depth, shape (rows, columns).
-        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
+        dim: amplitude above which a pixel is lit unless noise explains it; infinite if unknown.
     """
     if amplitude is None or not np.isfinite(dim):
         none = np.zeros(unmeasured.shape, bool)
@@ -237,11 +237,22 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
 
 
 def _least_amplitude(dark: Float32Array, most: float) -> float:
-    """Return an amplitude above the sky's, from pixels without depth, shape (N,), most of which are sky."""
+    """Return an amplitude above the sky's noise.
+
+    Dark parts of the target among the pixels widen the distribution upwards, so that ``most`` limits the
+    result, but not below the noise that the darker half of the pixels shows. Where the pixels are mostly
+    brighter than ``most``, they are not the sky.
+
+    Args:
+        dark: amplitudes of pixels without depth, most of which are sky, shape (N,).
+        most: amplitude of a pixel that is lit unless noise explains it.
+    """
     most = max(most, LEAST_AMPLITUDE)
     if not dark.size:
         return most
     middle = float(np.median(dark))
+    if middle < most:
+        most = max(most, middle + SKY_SPREADS * float(np.median(middle - dark[dark <= middle])))
     spread = float(np.median(np.abs(dark - middle)))
     return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
 
