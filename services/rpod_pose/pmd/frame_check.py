@@ -39,9 +39,9 @@ SIGMAS = 3.0
 """Greatest consistent error of a range, in standard deviations. Physics: one in 370 normal errors is
 larger."""
 DARK_SPREADS, LIT_SPREADS = 4.5, 9.0
-"""Limits of amplitude above the sky's median, in its median absolute deviations: up to the first a pixel is as
-dark as the sky, from the second on it shows a surface. Physics: three and six standard deviations of normal
-noise; above three are dozens of an image's pixels of sky."""
+"""Limits of amplitude above the sky's median, in median absolute deviations: up to the first a pixel is as
+dark as the sky, above the second it shows a surface. Physics: three and six standard deviations of normal
+noise; dozens of an image's pixels of sky are above three."""
 SKY_SAMPLES = 600
 """Number of pixels from which the sky's amplitude is estimated. Numerics: their median is known to a
 twentieth of a standard deviation."""
@@ -195,9 +195,7 @@ def contradictions(
     bright, glinting = (share * typical for share in BRIGHT)
     sky, spread = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
     dark = sky + DARK_SPREADS * spread
-    shades = Shades(
-        dark if dark < DIM * typical else 0.0, max(bright, sky + LIT_SPREADS * spread), glinting
-    )
+    shades = Shades(dark if dark < DIM * typical else 0.0, max(bright, sky + LIT_SPREADS * spread), glinting)
     reach_px = limits.reach_px + limits.place_share * radius_m * rendered.px_per_m
     tolerance_m = max(limits.tolerance_share * radius_m, SIGMAS * uneven_m)
     tolerated = Tolerated(tolerance_m, bias_m, reach_px, reflected_m)

@@ -205,7 +205,7 @@ def _amplitudes(
     every = (slice(view.offset, None, view.stride),) * 2
     touched = _touched(amplitude, dim)[every]
     smooth = uniform_filter(amplitude.astype(np.float32), 3)
-    least = _least_amplitude(smooth[every][unmeasured & ~touched], dim)
+    least = least_lit(smooth[every][unmeasured & ~touched], dim)
     median = np.where(touched, 0, cv2.medianBlur(amplitude, 3)[every]).astype(np.float32)
     lit = unmeasured & (median > least)
     return median, lit, touched & ~lit, least
@@ -236,7 +236,7 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
     return measured
 
 
-def _least_amplitude(dark: Float32Array, most: float) -> float:
+def least_lit(dark: Float32Array, most: float) -> float:
     """Return an amplitude above the sky's noise.
 
     Dark parts of the target among the pixels widen the distribution upwards, so that ``most`` limits the
