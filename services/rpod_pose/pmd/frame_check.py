@@ -38,9 +38,10 @@ from rpod_schemas.types import Float32Array
 SIGMAS = 3.0
 """Greatest consistent error of a range, in standard deviations. Physics: one in 370 normal errors is
 larger."""
-SKY_SPREADS = 4.5
-"""Upper limit of the sky's amplitude above its median, in median absolute deviations. Physics: three standard
-deviations of normal noise."""
+DARK_SPREADS, LIT_SPREADS = 4.5, 9.0
+"""Limits of amplitude above the sky's median, in median absolute deviations: up to the first a pixel is as
+dark as the sky, above the second it shows a surface. Physics: three and six standard deviations of normal
+noise; dozens of an image's pixels of sky are above three."""
 SKY_SAMPLES = 600
 """Number of pixels from which the sky's amplitude is estimated. Numerics: their median is known to a
 twentieth of a standard deviation."""
@@ -192,8 +193,9 @@ def contradictions(
         fine: the same pose with more rays, which shows thin parts.
     """
     bright, glinting = (share * typical for share in BRIGHT)
-    sky = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
-    shades = Shades(sky if sky < DIM * typical else 0.0, max(bright, sky), glinting)
+    sky, spread = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
+    dark = sky + DARK_SPREADS * spread
+    shades = Shades(dark if dark < DIM * typical else 0.0, max(bright, sky + LIT_SPREADS * spread), glinting)
     reach_px = limits.reach_px + limits.place_share * radius_m * rendered.px_per_m
     tolerance_m = max(limits.tolerance_share * radius_m, SIGMAS * uneven_m)
     tolerated = Tolerated(tolerance_m, bias_m, reach_px, reflected_m)
@@ -207,8 +209,10 @@ def sky_amplitude(
     amplitude: FloatArray | Float32Array,
     owner: NDArray[np.int32],
     typical: float,
-) -> float:
-    """Return the sky's greatest amplitude, from pixels with nothing measured nor rendered; 0 if unknown.
+) -> tuple[float, float]:
+    """Return the sky's median amplitude and its median absolute deviation; zeros if they are unknown.
+
+    They are those of pixels with nothing measured nor rendered.
 
     Args:
         range_m: as for ``contradictions``.
@@ -225,9 +229,9 @@ def sky_amplitude(
             dark[count] = amplitude[i, j]
             count += 1
     if count == 0:
-        return 0.0
+        return 0.0, 0.0
     middle = np.median(dark[:count])
-    return float(middle + SKY_SPREADS * np.median(np.abs(dark[:count] - middle)))
+    return float(middle), float(np.median(np.abs(dark[:count] - middle)))
 
 
 @kernel

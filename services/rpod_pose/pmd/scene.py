@@ -168,7 +168,7 @@ def _strided(
     Args:
         frame: the frame.
         shown: pixels whose depth is used, shape (H, W).
-        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
+        dim: amplitude above which a pixel is lit unless noise explains it; infinite if unknown.
         view: the coarse pixels.
         reach_m: distance along a ray within which a surface belongs to the target, m.
     """
@@ -197,7 +197,7 @@ def _amplitudes(
         amplitude: amplitude of all pixels, shape (H, W).
         view: the coarse pixels.
         unmeasured: coarse pixels without depth, shape (rows, columns).
-        dim: amplitude above which a pixel is lit in any case; infinite if unknown.
+        dim: amplitude above which a pixel is lit unless noise explains it; infinite if unknown.
     """
     if amplitude is None or not np.isfinite(dim):
         none = np.zeros(unmeasured.shape, bool)
@@ -205,7 +205,7 @@ def _amplitudes(
     every = (slice(view.offset, None, view.stride),) * 2
     touched = _touched(amplitude, dim)[every]
     smooth = uniform_filter(amplitude.astype(np.float32), 3)
-    least = _least_amplitude(smooth[every][unmeasured & ~touched], dim)
+    least = least_lit(smooth[every][unmeasured & ~touched], dim)
     median = np.where(touched, 0, cv2.medianBlur(amplitude, 3)[every]).astype(np.float32)
     lit = unmeasured & (median > least)
     return median, lit, touched & ~lit, least
@@ -236,12 +236,23 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
     return measured
 
 
-def _least_amplitude(dark: Float32Array, most: float) -> float:
-    """Return an amplitude above the sky's, from pixels without depth, shape (N,), most of which are sky."""
+def least_lit(dark: Float32Array, most: float) -> float:
+    """Return an amplitude above the sky's noise.
+
+    Dark parts of the target among the pixels widen the distribution upwards, so that ``most`` limits the
+    result, but not below the noise that the darker half of the pixels shows. Where the pixels are mostly
+    brighter than ``most``, they are not the sky.
+
+    Args:
+        dark: amplitudes of pixels without depth, most of which are sky, shape (N,).
+        most: amplitude of a pixel that is lit unless noise explains it.
+    """
     most = max(most, LEAST_AMPLITUDE)
     if not dark.size:
         return most
     middle = float(np.median(dark))
+    if middle < most:
+        most = max(most, middle + SKY_SPREADS * float(np.median(middle - dark[dark <= middle])))
     spread = float(np.median(np.abs(dark - middle)))
     return float(np.clip(middle + SKY_SPREADS * spread, LEAST_AMPLITUDE, most))
 

@@ -4,6 +4,7 @@ import math
 
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.frame_check import Contradictions
+from rpod_pose.pmd.joint.fit import EdgeEvidence
 from rpod_pose.ports import PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
@@ -47,21 +48,21 @@ def frame_belief(
     return Belief(evidence=evidence)
 
 
-def edges_in_place(limits: JointAcceptanceConfig, *, edges: int, expected: float, checked: int) -> float:
+def edges_in_place(limits: JointAcceptanceConfig, found: EdgeEvidence) -> float:
     """Return the share of the expected edges found near their place, plus an allowance for chance.
 
-    The result is 1 if too few places are checked.
+    Each edge counts by the information that a missing one would be, -ln(1 - p) with p the probability of
+    finding it at the right pose. One that the image may hide in any case proves little. The result is 1 if
+    too few places are checked, or if no edge is expected.
 
     Args:
         limits: least numbers and shares that are conclusive.
-        edges: number of edges found near their expected place.
-        expected: expected number of these, given the noise and how well brightness is known.
-        checked: number of checked places.
+        found: the edges.
     """
-    if checked < limits.min_edges:
+    weighed, expected, squares = found.in_place
+    if found.checked < limits.min_edges or expected == 0.0:
         return 1.0
-    expected = max(expected, 1.0)
-    return edges / expected + 1.0 / math.sqrt(expected)
+    return float((weighed + math.sqrt(squares)) / expected)
 
 
 def source_of(limits: JointAcceptanceConfig, *, points: int, edges: int) -> Source:

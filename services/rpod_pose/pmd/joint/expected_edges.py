@@ -8,9 +8,9 @@ show that edge: both places are found by the same search (``steepest``), so that
 
 A user knows materials only roughly. If the logarithm of the change has a standard deviation s, then the
 probability that the image shows more than the least change that counts is Phi(ln(change / least) / s). s
-contains the spread of the albedo's logarithm and the noise of the image. An edge that the rendering does not
-show is searched in its geometric place, since its faces may differ more than their classes do; but it is not
-expected, so it proves nothing if it is missing.
+contains the spread of the albedo's logarithm and the noise of the image over the least change: what is near
+that change decides. An edge that the rendering does not show is searched in its geometric place, since its
+faces may differ more than their classes do; but its probability is 0, so it proves nothing if it is missing.
 """
 
 import math
@@ -164,7 +164,7 @@ class ExpectedEdges(NamedTuple):
     place: FloatArray
     """Distance from the projected edge to the rendering's change, along the profile, px."""
     probability: FloatArray
-    """Probability that the image shows the change."""
+    """Probability that the image shows the change; 0 if the rendering does not show it."""
     change: FloatArray
     """Expected change of amplitude over two pixels."""
     merged: NDArray[np.bool_]
@@ -234,10 +234,9 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         seen = steepest(shade, Profile(u, v, across, down), OWN_PX, faintest)
         own = seen.change > 0.0 and abs(seen.place) <= OWN_PX
         change = gain * seen.change if own else LEAST_RATIO * patch.least
-        deviation = math.hypot(spread, patch.noise / change)
         sample[count] = n
         place[count] = seen.place if own and abs(seen.place) > ALIASED_PX else 0.0
-        probability[count] = 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
+        probability[count] = shown_probability(change, spread, patch) if own else 0.0
         contrast[count] = change
         merged[count] = (
             not own and steepest(shade, Profile(u, v, across, down), MERGED_PX, faintest).change > 0.0
@@ -251,6 +250,37 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         contrast[:count],
         merged[:count],
     )
+
+
+@kernel
+def shown_probability(change: float, spread: float, patch: Patch) -> float:
+    """Return the probability that an image shows a change.
+
+    Args:
+        change: expected change of amplitude over two pixels.
+        spread: standard deviation of its logarithm by the materials.
+        patch: the image, with its noise and the least change that counts.
+    """
+    deviation = math.hypot(spread, patch.noise / patch.least)
+    return 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
+
+
+@kernel
+def add_in_place(in_place: FloatArray, share: float, is_found: bool) -> None:
+    """Add an edge to the sums of those in place (``EdgeEvidence.in_place``).
+
+    Its weight is the information that a missing edge would be, minus the logarithm of its probability.
+
+    Args:
+        in_place: sums, input and output, shape (3,).
+        share: probability of finding it near its place at the right pose.
+        is_found: whether it was found there.
+    """
+    weight = -math.log1p(-share)
+    in_place[1] += weight * share
+    in_place[2] += weight * weight * share
+    if is_found:
+        in_place[0] += weight
 
 
 @kernel

@@ -20,7 +20,7 @@ from rpod_pose.pmd.joint.edge_search import (
     imaged,
     steepest,
 )
-from rpod_pose.pmd.joint.expected_edges import EdgeSight
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.field_alignment import FieldEvidence, Points
 from rpod_pose.registration.gauss_newton import Linear, State, linearises, minimised
@@ -118,8 +118,9 @@ class EdgeEvidence(NamedTuple):
     """Number of samples whose place in the image could be searched."""
     found: int
     """Number of these that are near their place: within ``SCALE`` of the reach."""
-    expected: float
-    """Expected number of these near their place at the right pose."""
+    in_place: FloatArray
+    """Sum of the weights (``add_in_place``) of the found samples, its expectation at the right pose, and that
+    of the sum of their squares, shape (3,)."""
     shifted: int
     """Number of inliers beside saturated pixels."""
     noise_px2: float
@@ -173,7 +174,7 @@ def add_edge_points(
     edges, lens, patch, expected_edges = sight
     places, directions = edges.places_m, edges.directions
     R, t = pose.R, pose.t
-    squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
+    squares, inliers, checked, found, in_place, shifted, noise_px2 = 0.0, 0, 0, 0, np.zeros(3), 0, 0.0
     near2, c2, shift = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums()
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
@@ -196,9 +197,11 @@ def add_edge_points(
             continue
         e2 = place * place
         checked += 1
-        found += change > 0.0 and e2 < near2
+        near = change > 0.0 and e2 < near2
+        found += near
         noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-        expected += expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+        share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+        add_in_place(in_place, share, near)
         if change == 0.0:
             continue
         gx = across * at.column_by_x + down * at.row_by_x
@@ -214,7 +217,7 @@ def add_edge_points(
                 shifted += 1
                 weight = geman_mcclure(e2, c2)
                 add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
-    return EdgeEvidence(squares, inliers, checked, found, expected, shifted, noise_px2, shift)
+    return EdgeEvidence(squares, inliers, checked, found, in_place, shifted, noise_px2, shift)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """A PMD frame prepared for the joint tracker: points of its depth, and its amplitude around the target."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import cv2
@@ -30,9 +30,10 @@ overlap; farther apart, details have no point."""
 SPARSE = 4
 """Stride of the pixels in the image's mean and in the count of depth pixels. Numerics: a budget of
 computation."""
-FINE_PX = 70_000
-"""Number of pixels of the patch up to which the rendering has 2 x 2 rays for each, which finds edges to a
-tenth of a pixel. Numerics: a budget; beyond, a pixel is small on the target."""
+FINE_PX, FINE_RAYS = 70_000, 2
+"""Number of pixels of the patch up to which the rendering has several rays for each, and their number along
+rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; beyond, a pixel is small on the
+target."""
 MIN_PATCH = 3
 """Least number of rows and columns in which edges are searched. Numerics: the smoothing and the search need
 neighbours."""
@@ -146,7 +147,7 @@ class JointFrame:
         if len(measured) < tuning.acceptance.min_points:
             typical = patch.typical
         shade[_unknown_shade(frame, view)] = np.nan
-        pixels_around, per_px = _rays_of(patch, view, around)
+        per_px = FINE_RAYS if patch.image.size <= FINE_PX else 1
         frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
         return cls(
             view,
@@ -162,10 +163,14 @@ class JointFrame:
             float(trust @ noise**2) / whole,
             trust,
             patch,
-            pixels_around,
+            _rays_of(patch, view, per_px),
             per_px,
             frequencies_hz,
         )
+
+    def finely(self) -> Self:
+        """Return the frame with several rays along rows and columns of each of the patch's pixels."""
+        return replace(self, rays=_rays_of(self.patch, self.view, FINE_RAYS), per_px=FINE_RAYS)
 
     @property
     def lens(self) -> Lens:
@@ -226,12 +231,10 @@ def _unknown_shade(frame: PmdFrame, view: DepthView) -> NDArray[np.bool_]:
     return _widened(frame.saturated, 1)[coarse, coarse]
 
 
-def _rays_of(patch: Patch, view: DepthView, around: _Window) -> tuple[GridArrays, int]:
-    """Return the rays of a patch's pixels, and how many there are for each pixel along rows and columns."""
-    per_px = 2 if patch.image.size <= FINE_PX else 1
-    lines = around if patch.typical else (slice(0, 1), slice(0, 1))
-    window = (slice(per_px * one.start, per_px * one.stop) for one in lines)
-    return view.rays(per_px).block(*window), per_px
+def _rays_of(patch: Patch, view: DepthView, per_px: int) -> GridArrays:
+    """Return the rays of a patch's pixels, ``per_px`` of each along rows and columns."""
+    starts = zip((int(patch.row), int(patch.column)), patch.image.shape, strict=True)
+    return view.rays(per_px).block(*(slice(per_px * i, per_px * (i + size)) for i, size in starts))
 
 
 def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
@@ -304,7 +307,7 @@ def _patch(
     if min(part.shape) < MIN_PATCH:
         return _NO_PATCH
     saturated = None if frame.saturated is None else frame.saturated[around]
-    typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
+    typical = typical_of(part, frame.depth_m[around] > 0.0, typical)
     if typical <= 0.0:
         return _NO_PATCH
     known = part if saturated is None else np.where(saturated, np.float32(0.0), part)

@@ -15,6 +15,7 @@ from scipy.constants import speed_of_light
 from rpod_geometry.rays import RenderBuffers, cast_pose
 from rpod_pose.pmd.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer
+from rpod_pose.pmd.joint.fit import Measured, agreement
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.reflections import reflected_m
 from rpod_pose.pmd.rendering import FineRanges, Rendering
@@ -45,6 +46,8 @@ class PixelCheck:
     ) -> None:
         self._radius_m, self._triangles_m = target.radius_m, np.ascontiguousarray(target.triangles_m)
         self._limits, self._ranges, self._renderer = tuning.check, ranges, renderer
+        self._near_m = max(tuning.near_depth_share * target.radius_m, ranges.bias_m)
+        self._missing_weight = tuning.missing_weight
         self._reflected_m = reflected_m(target)
 
     def contradictions(
@@ -81,6 +84,18 @@ class PixelCheck:
             range_m = seen.range_m - self._wiggling(seen, buffers, bias_m)
             found = check(images._replace(range_m=range_m), coarse, limits)
         return found
+
+    def explained(self, seen: JointFrame, pose: PoseArrays, buffers: RenderBuffers) -> float:
+        """Return the share of the checked pixels that agree with a predicted pose.
+
+        Args:
+            seen: the frame.
+            pose: pose of the target.
+            buffers: room for the coarse pixels.
+        """
+        measured = Measured(seen.range_m, seen.sigma_m, self._near_m, self._missing_weight)
+        agreeing, checked = agreement(measured, seen.view.coarse.arrays, self._triangles_m, pose, buffers)
+        return agreeing / checked if checked else 0.0
 
     def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
         """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 where it is not known."""

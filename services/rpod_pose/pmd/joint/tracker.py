@@ -35,14 +35,12 @@ from rpod_pose.pmd.joint.fit import (
     DepthErrors,
     EdgeErrors,
     JointProblem,
-    Measured,
     add_edge_points,
-    agreement,
     align,
     joint_shares,
     near_the_pose,
 )
-from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
@@ -100,7 +98,6 @@ class JointTracker:
         self._ranges = tuning.depth.calibrated if calibrated else tuning.depth.raw
         self._spacing_m = tuning.edges.spacing_share * target.radius_m
         edges = EdgeModel.of(target, spacing_m=self._spacing_m)
-        self._triangles_m = np.ascontiguousarray(target.triangles_m)
         self._edges = edges.arrays
         self._field, self._renderer = field_arrays(target), PatchRenderer(target, tuning.edges)
         weak = np.repeat((target.radius_m, radians(tuning.unobserved_deg)), 3)
@@ -113,7 +110,6 @@ class JointTracker:
         self._near = np.vstack((coarse[-tuning.near_iterations :], self._narrow))
         self._full = np.vstack((coarse, self._narrow))
         self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
-        self._near_m = max(tuning.near_depth_share * target.radius_m, self._ranges.bias_m)
         surface = SurfaceModel.of(target)
         self._coarse, self._faces = surface.coarse_field, surface.faces
         self._depth_errors = DepthErrors(
@@ -199,7 +195,8 @@ class JointTracker:
         """Yield starting poses with their schedules of steps, those with the fewest steps first."""
         tuning = self._tuning
         pose = sight.expected.pose
-        share, in_place = self._explained(seen, pose), self._in_place(seen, sight, pose)
+        share = self._check.explained(seen, pose, self._buffers_of(seen.view))
+        in_place = self._in_place(seen, sight, pose)
         if in_place is None and share >= tuning.fair_share:
             yield State(pose, 0.0), self._near
         elif in_place is not None and in_place >= tuning.near_share:
@@ -309,15 +306,13 @@ class JointTracker:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
         ((R, t), bias), _, (depth, found, _, _) = aligned.fit
-        points, squares = depth.inliers, depth.squares_m2
-        edges, checked, expected = found.inliers, found.checked, found.expected
+        points, edges, checked = depth.inliers, found.inliers, found.checked
         if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
             reason = f"nothing to see: {points} points on the target, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
         pose, buffers = aligned.fit.state.pose, self._buffers_of(seen.view)
         inconsistent = self._check.contradictions(seen, pose, bias, buffers)
-        in_place = edges_in_place(tuning.acceptance, edges=found.found, expected=expected, checked=checked)
-        range_m = float(np.linalg.norm(t))
+        in_place, range_m = self._edges_in_place(seen, aligned), float(np.linalg.norm(t))
         belief = frame_belief(
             tuning, inconsistent, in_place, bias_m=bias, sigma_m=self._ranges.bias_m, range_m=range_m
         )
@@ -331,7 +326,7 @@ class JointTracker:
             source,
             T_sensor_target=pose_of(R, t),
             belief=belief,
-            cost_m2=squares / max(points, 1),
+            cost_m2=depth.squares_m2 / max(points, 1),
             inliers=points + edges,
             inlier_share=(points + found.found) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
@@ -359,14 +354,17 @@ class JointTracker:
             wider=max(1.0, self._fills(seen)),
         )
 
-    def _explained(self, seen: JointFrame, pose: PoseArrays) -> float:
-        """Return the share of the checked pixels that agree with a predicted pose."""
-        tuning, view = self._tuning, seen.view
-        measured = Measured(seen.range_m, seen.sigma_m, self._near_m, tuning.missing_weight)
-        agreeing, checked = agreement(
-            measured, view.coarse.arrays, self._triangles_m, pose, self._buffers_of(view)
-        )
-        return agreeing / checked if checked else 0.0
+    def _edges_in_place(self, seen: JointFrame, aligned: Aligned) -> float:
+        """Return the share of the expected edges found near their place, plus an allowance for chance.
+
+        If it is weak, the edges are those of a rendering with more rays, which shows thin parts.
+        """
+        limits, pose, last = self._tuning.acceptance, aligned.fit.state.pose, aligned.last
+        share = edges_in_place(limits, aligned.fit.evidence.edges)
+        if share >= limits.weak_edge_share or seen.per_px == FINE_RAYS:
+            return share
+        sight, reach_px = self._sights(seen.finely()).at(pose), last.schedule[-1, 1]
+        return edges_in_place(limits, add_edge_points(no_sums(), sight, pose, reach_px, last.edge_errors))
 
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
         """Return the share of the expected edges near their place at a pose; None if few are seen."""
@@ -375,7 +373,8 @@ class JointTracker:
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         if found.checked < tuning.acceptance.min_edges:
             return None
-        return found.found / max(found.expected, 1.0)
+        weighed, expected, _ = found.in_place
+        return float(weighed / expected) if expected else 0.0
 
     def _radius_px(self, seen: JointFrame) -> float:
         """Return the target's radius in the image, at the depth of what is seen, px."""

@@ -11,8 +11,10 @@ from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import (
     ExpectedEdges,
     PatchRenderer,
+    add_in_place,
     expect_edges,
     moved_px,
+    shown_probability,
 )
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
@@ -91,6 +93,33 @@ def test_the_noise_of_the_image_decides_what_is_expected_to_be_seen(
 ) -> None:
     _, seen = expected(HEXAGON, noise=noise)
     assert share[0] <= len(likely(seen)) / len(seen.sample) <= share[1]
+
+
+@pytest.mark.parametrize("spread", [0.2, 0.5, 2.0])
+@pytest.mark.parametrize("change", [1.8, 4.0, 6.0, 9.0, 20.0])
+def test_a_change_is_shown_as_often_as_materials_and_noise_let_it(change: float, spread: float) -> None:
+    patch = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 6.0, 2.0, 100.0)
+    drawn = np.random.default_rng(1).standard_normal((2, 20_000))
+    share = (change * np.exp(spread * drawn[0]) + 2.0 * drawn[1] > 6.0).mean()
+    assert shown_probability(change, spread, patch) == pytest.approx(share, abs=0.06)
+
+
+def test_what_the_rendering_does_not_show_is_not_expected() -> None:
+    beside = replace(HEXAGON, triangles_m=HEXAGON.triangles_m + np.array((0.0, 0.3, 0.0)))
+    shares = [np.mean(expected(HEXAGON, hider=shown)[1].probability == 0.0) for shown in (HEXAGON, beside)]
+    assert shares[0] < 0.2
+    assert shares[1] > 0.5
+
+
+def test_a_missing_edge_counts_by_what_it_tells() -> None:
+    certain, doubtful = np.zeros(3), np.zeros(3)
+    add_in_place(certain, 0.95, False)
+    add_in_place(doubtful, 0.1, False)
+    assert certain[1] > 100.0 * doubtful[1]
+    add_in_place(certain, 0.95, True)
+    assert certain[0] == pytest.approx(-np.log(0.05))
+    assert certain[1] == pytest.approx(2.0 * 0.95 * certain[0])
+    assert certain[2] == pytest.approx(2.0 * 0.95 * certain[0] ** 2)
 
 
 def test_nothing_is_expected_outside_the_image() -> None:

@@ -1,7 +1,10 @@
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.belief import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.fit import EdgeEvidence
+from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 
 LIMITS = JointAcceptanceConfig(
@@ -10,16 +13,18 @@ LIMITS = JointAcceptanceConfig(
 
 
 @pytest.mark.parametrize(
-    ("counts", "share"),
+    ("checked", "in_place", "share"),
     [
-        ({"edges": 75, "expected": 100.0, "checked": 120}, 0.85),
-        ({"edges": 0, "expected": 0.2, "checked": 40}, 1.0),
-        ({"edges": 0, "expected": 0.0, "checked": 39}, 1.0),
+        (120, (75.0, 100.0, 100.0), 0.85),
+        (120, (150.0, 200.0, 400.0), 0.85),
+        (40, (0.0, 0.0, 0.0), 1.0),
+        (39, (0.0, 90.0, 90.0), 1.0),
     ],
-    ids=["of what is expected", "next to nothing is expected", "too few"],
+    ids=["of what is expected", "whatever the weights", "nothing is expected", "too few"],
 )
-def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(counts, share):
-    assert edges_in_place(LIMITS, **counts) == pytest.approx(share)
+def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(checked, in_place, share):
+    evidence = EdgeEvidence(0.0, 0, checked, 0, np.array(in_place), 0, 0.0, no_sums())
+    assert edges_in_place(LIMITS, evidence) == pytest.approx(share)
 
 
 def test_misplaced_edges_are_a_reason_with_figures():

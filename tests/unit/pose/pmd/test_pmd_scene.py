@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from pmd_frames import CAMERA, depth_frame, frame_of
@@ -98,6 +99,12 @@ def test_other_materials_change_the_loss_of_the_amplitude_alone():
     ]
     assert fits[0].loss > 2.0 * fits[1].loss
     assert fits[1].mean_loss < 0.2
+
+
+def test_the_noise_of_the_sky_is_not_lit_beside_a_faint_target():
+    sky = np.random.default_rng(3).rayleigh(4.0, ideal().depth_m.shape)
+    result = scene(ideal().depth_m, shade(20, sky=sky))
+    assert not lit_where(result, cv2.dilate(np.isfinite(ideal().depth_m) * 1.0, np.ones((5, 5))) == 0.0).any()
 
 
 def test_the_zeros_of_a_sky_without_noise_are_no_glint():
