@@ -1,13 +1,19 @@
-"""How well an image agrees with a pose if the brightness of each face is free.
+"""Fits of a target's brightness to an image, since materials are known only roughly.
 
-Materials are known only roughly, so that a rendering differs from the image at the right pose, too. Where the
-brightness of each plane face is fitted to the image, what remains is what no brightness explains: places of
-outlines and of changes inside. Two poses whose edges fit equally well are told apart by it.
+Two poses whose edges fit equally well are told apart by what no brightness explains: places of outlines and
+of changes inside (``misfit``). There the brightness of each plane face is free.
 
-The fit is non-negative: multiplicative steps of maximum likelihood (MLEM; L. A. Shepp, Y. Vardi, IEEE
+Where edges are nearer to each other than the blur, the place of each depends on the brightness of what is
+beside it. A rendering that shows these places has the brightness of each surface fitted (``fitted``). A
+surface is a smooth part of the body of one material. Its faces keep their shading by Lambert's law: with more
+freedom, errors of the pose would be taken for brightness.
+
+Both fits are non-negative: multiplicative steps of maximum likelihood (MLEM; L. A. Shepp, Y. Vardi, IEEE
 Transactions on Medical Imaging 1(2), 1982) with the image's blur as the system.
 """
 
+from collections.abc import Callable
+from math import cos, radians
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +25,7 @@ from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
+from rpod_target.mesh.topology import components, directed_edges, welded
 
 ROUNDS = 3
 """Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
@@ -33,62 +40,108 @@ PLANES = 50.0
 radius; more faces need more steps of the fit."""
 
 
-class Rays(NamedTuple):
-    """The M rays of a patch that meet the target at a pose."""
+SMOOTH_DEG = 30.0
+"""Angle between neighbouring faces up to which they are one surface. Physics: a round body of at least twelve
+sides."""
+MIXED = 0.01
+"""Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
+part that has no pixel of its own."""
+
+
+class Mixture(NamedTuple):
+    """Shares of the target's parts, plane faces or surfaces, in the pixels of a rendering; M in all."""
 
     pixel: NDArray[np.int32]
-    """Row-major index of each ray's pixel, shape (M,)."""
-    triangle: NDArray[np.int32]
-    """Triangle that each ray meets, shape (M,)."""
+    """Row-major index of the pixel, shape (M,)."""
+    part: NDArray[np.int32]
+    """Number of the part, shape (M,)."""
+    light: Float32Array
+    """Brightness that the part adds to the pixel, shape (M,)."""
+    weight: Float32Array
+    """Weight of each pixel in the fit: 1 if it and its neighbours show one part, else ``MIXED``; shape
+    (rows, columns)."""
 
 
-def faces_of(target: Target) -> NDArray[np.int64]:
+def faces_of(target: Target) -> NDArray[np.int32]:
     """Return the number of the plane face of one material to which each triangle belongs, shape (T,)."""
     normals, triangles_m = np.asarray(target.normals), np.asarray(target.triangles_m)
     offsets = np.einsum("ni,ni->n", normals, triangles_m[:, 0]) / target.radius_m
     steps = np.rint(PLANES * np.column_stack((normals, offsets))).astype(np.int64)
-    each: NDArray[np.int64] = np.unique(
-        np.column_stack((steps, target.triangle_material)), axis=0, return_inverse=True
-    )[1].ravel()
+    planes = np.column_stack((steps, target.triangle_material))
+    each: NDArray[np.int32] = np.unique(planes, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
     return each
 
 
-def misfit(
-    patch: Patch, rays: Rays, light: Float32Array, face: NDArray[np.int64], *, clip: float, blur_px: float
-) -> float:
-    """Return minus the log likelihood of an image at a pose, with the brightness of each face fitted.
+def surfaces_of(target: Target) -> NDArray[np.int32]:
+    """Return the number of the smooth surface of one material to which each triangle belongs, shape (T,)."""
+    normals, material = np.asarray(target.normals), np.asarray(target.triangle_material)
+    edges = np.sort(directed_edges(welded(np.asarray(target.triangles_m))), axis=1)
+    order = np.lexsort(edges.T)
+    beside = order // 3
+    same = (edges[order[1:]] == edges[order[:-1]]).all(axis=1)
+    one, other = beside[:-1][same], beside[1:][same]
+    smooth = np.einsum("ni,ni->n", normals[one], normals[other]) > cos(radians(SMOOTH_DEG))
+    smooth &= material[one] == material[other]
+    found: NDArray[np.int32] = components(np.column_stack((one, other))[smooth], size=len(normals)).astype(
+        np.int32
+    )
+    return found
 
-    Pixels that one blur covers share their errors: the sum is divided by the area 4 pi blur^2 of its
-    autocorrelation.
+
+def fitted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> Float32Array:
+    """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
     Args:
         patch: the image, smoothed.
-        rays: rays that meet the target at the pose.
-        light: brightness of each triangle at the pose, shape (T,), up to a factor.
-        face: number of the face of each triangle, shape (T,).
+        mixture: the parts that the pixels show at a pose.
         clip: greatest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
-    if not rays.pixel.size:
+    return _fitted(patch, mixture, clip, blur_px, lambda ratio: ratio)
+
+
+def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
+    """Return minus the log likelihood of an image at a pose, with the brightness of each part fitted.
+
+    All pixels have the same weight in this fit. Pixels that one blur covers share their errors: the sum is
+    divided by the area 4 pi blur^2 of its autocorrelation. Arguments as for ``fitted``.
+    """
+    if not mixture.pixel.size:
         return 0.0
-    shape, most = patch.image.shape, clip * patch.typical
-    faint = np.float32(0.5 * patch.least)  # what differs by less is no change of the image
-
-    def shown() -> Float32Array:
-        """Return the smoothed rendering, clipped like the image."""
-        return _blurred(np.minimum(lit(light, rays, shape), np.float32(most)), blur_px)
-
-    bright = lit(light, rays, shape)
-    light = light * np.float32(patch.typical / np.median(bright[bright > 0.0]))
-    for _ in range(ROUNDS):
-        ratio = _blurred((patch.image + faint) / (shown() + faint), blur_px)
-        multiply(light, face, rays, ratio)
-    rendered = shown()
-    deviation = np.hypot(UNEVEN * rendered, np.hypot(faint, patch.noise))
+    mixture = mixture._replace(weight=np.ones_like(mixture.weight))
+    rendered = _fitted(patch, mixture, clip, blur_px, lambda ratio: _blurred(ratio, blur_px))
+    deviation = np.hypot(UNEVEN * rendered, np.hypot(_faint(patch), patch.noise))
     residual = np.minimum(np.abs(patch.image - rendered) / deviation, MOST_SIGMAS)
     if patch.saturated.size:
         residual = residual[patch.saturated == 0]
     return float(0.5 * np.square(residual).sum() / (4.0 * np.pi * blur_px**2))
+
+
+def _fitted(
+    patch: Patch,
+    mixture: Mixture,
+    clip: float,
+    blur_px: float,
+    smoothed: Callable[[Float32Array], Float32Array],
+) -> Float32Array:
+    """Return the rendering after ``ROUNDS`` steps, by the ratio of image over rendering, smoothed or not."""
+    shape, most, faint = patch.image.shape, np.float32(clip * patch.typical), _faint(patch)
+    gain = np.ones(int(mixture.part.max()) + 1, np.float32)
+    bright = mixed(gain, mixture, shape)
+    gain *= np.float32(patch.typical / np.median(bright[bright > 0.0]))
+
+    def shown() -> Float32Array:
+        """Return the smoothed rendering, clipped like the image."""
+        return _blurred(np.minimum(mixed(gain, mixture, shape), most), blur_px)
+
+    for _ in range(ROUNDS):
+        adapt(gain, mixture, smoothed((patch.image + faint) / (shown() + faint)))
+    return shown()
+
+
+def _faint(patch: Patch) -> np.float32:
+    """Return the least brightness that counts: what differs by less is no change of the image."""
+    return np.float32(0.5 * patch.least)
 
 
 def _blurred(image: Array, blur_px: float) -> Float32Array:
@@ -96,54 +149,108 @@ def _blurred(image: Array, blur_px: float) -> Float32Array:
 
 
 @kernel
-def listed(triangle: NDArray[np.int32], per_px: int) -> Rays:
-    """Return the rays that meet the target.
+def mixture_of(
+    triangle: NDArray[np.int32], per_px: int, light: Float32Array, part: NDArray[np.int32]
+) -> Mixture:
+    """Return the parts that the pixels of a rendering show.
 
     Args:
         triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
         per_px: number of rays for each pixel, along rows and columns.
+        light: brightness that a ray on each triangle adds, shape (T,) or more.
+        part: number of the part of each triangle, shape (T,).
     """
-    rows, columns = triangle.shape
-    pixel, met, count = np.empty(triangle.size, np.int32), np.empty(triangle.size, np.int32), 0
+    rows, columns = triangle.shape[0] // per_px, triangle.shape[1] // per_px
+    pixels, numbers = np.empty(triangle.size, np.int32), np.empty(triangle.size, np.int32)
+    lights, count = np.empty(triangle.size, np.float32), 0
+    alone = np.full((rows, columns), -1, np.int32)
     for i in range(rows):
         for j in range(columns):
-            if triangle[i, j] >= 0:
-                pixel[count] = i // per_px * (columns // per_px) + j // per_px
-                met[count] = triangle[i, j]
-                count += 1
-    return Rays(pixel[:count], met[:count])
+            first, sky = count, False
+            for v in range(per_px * i, per_px * (i + 1)):
+                for u in range(per_px * j, per_px * (j + 1)):
+                    met = triangle[v, u]
+                    if met < 0:
+                        sky = True
+                    else:
+                        count = _add(numbers, lights, (first, count), part[met], light[met])
+            pixels[first:count] = i * columns + j
+            if count == first + 1 and not sky:
+                alone[i, j] = numbers[first]
+    return Mixture(pixels[:count].copy(), numbers[:count].copy(), lights[:count].copy(), _weights(alone))
 
 
 @kernel
-def lit(light: Float32Array, rays: Rays, shape: tuple[int, int]) -> Float32Array:
-    """Return the sum of the brightness of the rays of each pixel.
+def _add(
+    numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], number: int, light: float
+) -> int:
+    """Add a ray's light to its part in a pixel; return the number of shares so far.
 
     Args:
-        light: brightness that a ray on each triangle adds, shape (T,).
-        rays: rays that meet the target.
+        numbers: parts of the shares, shape (M,) or more, input and output.
+        lights: their light, same shape, input and output.
+        span: first share of the pixel, and number of shares so far.
+        number: part that the ray meets.
+        light: brightness that it adds.
+    """
+    first, count = span
+    k = first
+    while k < count and numbers[k] != number:
+        k += 1
+    if k == count:
+        numbers[k], lights[k] = number, 0.0
+        count += 1
+    lights[k] += light
+    return count
+
+
+@kernel
+def _weights(alone: NDArray[np.int32]) -> Float32Array:
+    """Return the weight of each pixel, by the part that it shows alone, -1 if it does not; same shape."""
+    rows, columns = alone.shape
+    weight = np.full((rows, columns), MIXED, np.float32)
+    for i in range(1, rows - 1):
+        for j in range(1, columns - 1):
+            same = alone[i, j] >= 0
+            for v in range(i - 1, i + 2):
+                for u in range(j - 1, j + 2):
+                    same &= alone[v, u] == alone[i, j]
+            if same:
+                weight[i, j] = 1.0
+    return weight
+
+
+@kernel
+def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int]) -> Float32Array:
+    """Return the brightness of the pixels, shape (rows, columns).
+
+    Args:
+        gain: factor on the brightness of each part, shape (K,).
+        mixture: the parts that the pixels show.
         shape: number of rows and columns of pixels.
     """
     image = np.zeros(shape[0] * shape[1], np.float32)
-    for n in range(rays.pixel.size):
-        image[rays.pixel[n]] += light[rays.triangle[n]]
+    for n in range(mixture.pixel.size):
+        image[mixture.pixel[n]] += gain[mixture.part[n]] * mixture.light[n]
     return image.reshape(shape)
 
 
 @kernel
-def multiply(light: Float32Array, face: NDArray[np.int64], rays: Rays, ratio: Float32Array) -> None:
-    """Multiply the brightness of each face by the mean ratio of image over rendering on it.
+def adapt(gain: Float32Array, mixture: Mixture, ratio: Float32Array) -> None:
+    """Multiply the factor of each part by the mean ratio of image over rendering in its pixels.
 
     Args:
-        light: brightness of each triangle, shape (T,), input and output.
-        face: number of the face of each triangle, shape (T,).
-        rays: rays that meet the target.
-        ratio: image over rendering, blurred, shape (rows, columns).
+        gain: factor on the brightness of each part, shape (K,), input and output.
+        mixture: the parts that the pixels show.
+        ratio: image over rendering, shape (rows, columns).
     """
-    sums, weights, ratios = np.zeros(face.max() + 1), np.zeros(face.max() + 1), ratio.ravel()
-    for n in range(rays.pixel.size):
-        k = rays.triangle[n]
-        sums[face[k]] += light[k] * ratios[rays.pixel[n]]
-        weights[face[k]] += light[k]
-    for k in range(len(face)):
-        if weights[face[k]] > 0.0:
-            light[k] *= sums[face[k]] / weights[face[k]]
+    sums, weights = np.zeros(gain.size), np.zeros(gain.size)
+    ratios, weight = ratio.ravel(), mixture.weight.ravel()
+    for n in range(mixture.pixel.size):
+        k, pixel = mixture.part[n], mixture.pixel[n]
+        share = gain[k] * mixture.light[n] * weight[pixel]
+        sums[k] += share * ratios[pixel]
+        weights[k] += share
+    for k in range(gain.size):
+        if weights[k] > 0.0:
+            gain[k] *= sums[k] / weights[k]

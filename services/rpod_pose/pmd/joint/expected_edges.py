@@ -5,6 +5,8 @@ edges less than a pixel apart merge into one. Therefore the target is rendered a
 pixels, as a Lambertian body lit from the camera with the albedo of its classes (``brightness``), and smoothed
 like the image. The steepest change of the rendering beside an edge is the place at which the image should
 show that edge: both places are found by the same search (``steepest``), so that neighbours shift both alike.
+For the place, the brightness of each surface is fitted to the image (``brightness_fit.fitted``): how far a
+neighbour shifts an edge depends on which of them is brighter.
 
 A user knows materials only roughly. If the logarithm of the change has a standard deviation s, then the
 probability that the image shows more than the least change that counts is Phi(ln(change / least) / s). s
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.brightness_fit import faces_of, listed, misfit
+from rpod_pose.pmd.joint.brightness_fit import faces_of, fitted, misfit, mixed, mixture_of, surfaces_of
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -89,9 +91,11 @@ class Shown(NamedTuple):
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
     shade: Float32Array
-    """Smoothed brightness, shape (rows, columns)."""
+    """Smoothed brightness by the materials of the file, shape (rows, columns)."""
     typical: float
     """Median brightness before smoothing; 0 if nothing is in view."""
+    fitted: Float32Array
+    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same shape."""
 
 
 class PatchRenderer:
@@ -104,7 +108,7 @@ class PatchRenderer:
 
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
         self._appearance, self._config = Appearance.of(target), config
-        self._faces = faces_of(target)
+        self._faces, self._surfaces = faces_of(target), surfaces_of(target)
         self._room = np.empty((2, 0), np.float32)
 
     @property
@@ -122,36 +126,35 @@ class PatchRenderer:
         cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
         return hits
 
-    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays) -> Shown:
+    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
         """Return the target at a pose; its ranges are valid until the next call.
 
         Args:
             rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
             per_px: number of rays for each pixel, along rows and columns.
             pose: pose of the target.
+            patch: the image.
         """
-        hits = self.cast(rays, pose)
-        shade = shaded(self._appearance, pose, hits.triangle, per_px)
+        hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
+        mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
+        shade = mixed(np.ones(len(self._surfaces), np.float32), mixture, patch.image.shape)
         few = shade.ravel()[:: shade.size // TYPICAL_SAMPLES + 1]
         few = few[few > 0.0]
         typical = float(np.median(few)) if few.size else 0.0
-        np.minimum(shade, self._config.clip * typical, out=shade)
-        cv2.GaussianBlur(shade, (0, 0), self._config.blur_px, dst=shade)
-        return Shown(pose, hits.range_m, per_px, shade, typical)
+        np.minimum(shade, clip * typical, out=shade)
+        cv2.GaussianBlur(shade, (0, 0), blur_px, dst=shade)
+        as_seen = typical > 0.0 and patch.typical > 0.0
+        fit = fitted(patch, mixture, clip=clip, blur_px=blur_px) if as_seen else shade
+        return Shown(pose, hits.range_m, per_px, shade, typical, fit)
 
     def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
         """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
 
-        Args:
-            rays: as for ``render``.
-            per_px: as for ``render``.
-            pose: pose of the target.
-            patch: the image.
+        Arguments as for ``render``.
         """
-        met = listed(self.cast(rays, pose).triangle, per_px)
-        light = light_of(self._appearance, pose)[:-1]
-        clip, blur_px = self._config.clip, self._config.blur_px
-        return misfit(patch, met, light, self._faces, clip=clip, blur_px=blur_px)
+        triangle, light = self.cast(rays, pose).triangle, light_of(self._appearance, pose)
+        mixture = mixture_of(triangle, per_px, light, self._faces)
+        return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
 
 
 class ExpectedEdges(NamedTuple):
@@ -208,7 +211,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
     place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
     taken = np.zeros((shade.shape[0], shade.shape[1], DIRECTIONS), np.bool_)
     gain = patch.typical / shown.typical if most else 1.0
-    faintest = LEAST_RATIO * patch.least / gain
+    least = LEAST_RATIO * patch.least
+    faintest = least / gain
     sensor = in_target(R, -t[0], -t[1], -t[2])
     for n in range(most):
         spread = seen_spread(edges, n, sensor)
@@ -231,16 +235,14 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if taken[i, j, way]:
             continue
         taken[i, j, way] = True
-        seen = steepest(shade, Profile(u, v, across, down), OWN_PX, faintest)
-        own = seen.change > 0.0 and abs(seen.place) <= OWN_PX
-        change = gain * seen.change if own else LEAST_RATIO * patch.least
+        profile = Profile(u, v, across, down)
+        change, _ = own_change(shade, profile, faintest)
+        fitted_change, shift = own_change(shown.fitted, profile, least)
         sample[count] = n
-        place[count] = seen.place if own and abs(seen.place) > ALIASED_PX else 0.0
-        probability[count] = shown_probability(change, spread, patch) if own else 0.0
-        contrast[count] = change
-        merged[count] = (
-            not own and steepest(shade, Profile(u, v, across, down), MERGED_PX, faintest).change > 0.0
-        )
+        place[count] = shift if abs(shift) > ALIASED_PX else 0.0
+        contrast[count] = gain * change if change else least
+        probability[count] = shown_probability(contrast[count], spread, patch) if change else 0.0
+        merged[count] = not fitted_change and steepest(shown.fitted, profile, MERGED_PX, least).change > 0.0
         count += 1
     return ExpectedEdges(
         shown.pose,
@@ -250,6 +252,20 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         contrast[:count],
         merged[:count],
     )
+
+
+@kernel
+def own_change(shade: Float32Array, profile: Profile, least: float) -> tuple[float, float]:
+    """Return the change of a rendering that belongs to an edge, and its place, px; zeros if there is none.
+
+    Args:
+        shade: the rendering, shape (rows, columns).
+        profile: line across the edge.
+        least: least change that counts.
+    """
+    found = steepest(shade, profile, OWN_PX, least)
+    own = found.change > 0.0 and abs(found.place) <= OWN_PX
+    return (found.change, found.place) if own else (0.0, 0.0)
 
 
 @kernel
@@ -310,7 +326,7 @@ class Sights:
         moved = [moved_px(each.expected.pose, pose, radius_m, frame.lens.fx) for each in self._known]
         if moved and min(moved) < STILL_PX:
             return self._known[int(np.argmin(moved))]
-        shown = self._renderer.render(frame.rays, frame.per_px, pose)
+        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch)
         expected = expect_edges(self._edges, frame.lens, frame.patch, shown)
         self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
         return self._known[-1]
@@ -342,36 +358,11 @@ def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, floa
 
 
 @kernel
-def shaded(
-    appearance: Appearance, pose: PoseArrays, triangle: NDArray[np.int32], per_px: int
-) -> Float32Array:
-    """Return the brightness of a rendering, shape (rows, columns).
+def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
+    """Return the brightness of each triangle at a pose, shape (T + 1,); the last, index -1, is the sky's.
 
     Lambert's law with light from the camera: albedo times the cosine of incidence over the squared range, in
     the middle of each triangle. Within a triangle it changes slowly, so that it makes no edges.
-
-    Args:
-        appearance: the target.
-        pose: pose of the target.
-        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
-        per_px: number of rays for each pixel, along rows and columns.
-    """
-    light = light_of(appearance, pose) / np.float32(per_px * per_px)
-    rows, columns = triangle.shape[0] // per_px, triangle.shape[1] // per_px
-    shade = np.empty((rows, columns), np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            total = np.float32(0.0)
-            for v in range(per_px * i, per_px * (i + 1)):
-                for u in range(per_px * j, per_px * (j + 1)):
-                    total += light[triangle[v, u]]
-            shade[i, j] = total
-    return shade
-
-
-@kernel
-def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
-    """Return the brightness of each triangle at a pose, shape (T + 1,); the last, index -1, is the sky's.
 
     Args:
         appearance: T triangles.

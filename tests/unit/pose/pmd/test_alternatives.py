@@ -19,7 +19,7 @@ from rpod_pose.pmd.joint.alternatives import (
     log_likelihoods,
     start_steps,
 )
-from rpod_pose.pmd.joint.brightness_fit import faces_of
+from rpod_pose.pmd.joint.brightness_fit import faces_of, surfaces_of
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
@@ -64,12 +64,13 @@ def test_edges_of_a_panel_are_merged_where_it_is_thinner_than_the_blur(thick_px:
     thin = thick_px * away_m / CAMERA.fx / (high - low)[1]
     panel = replace(body, triangles_m=body.triangles_m * (1.0, thin, 1.0))
     edges = EdgeModel.of(panel, spacing_m=0.02).arrays
-    image = np.zeros((CAMERA.height, CAMERA.width), np.float32)
-    renderer = PatchRenderer(panel, TUNING.edges)
+    patch = Patch(np.zeros((CAMERA.height, CAMERA.width), np.float32), 0.0, 0.0, 6.0, 0.5, 100.0)
+    renderer, rays = PatchRenderer(panel, TUNING.edges), DepthView.of(CAMERA, 4).rays(2).arrays
     pose = PoseArrays.of(make_pose(translation_m=(0.0, 0.0, away_m)))
-    shown = renderer.render(DepthView.of(CAMERA, 4).rays(2).arrays, 2, pose)
-    lens = Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
-    seen = expect_edges(edges, lens, Patch(image, 0.0, 0.0, 6.0, 0.5, 100.0), shown)
+    exact = renderer.render(rays, 2, pose, patch)
+    patch = patch._replace(image=exact.shade * np.float32(100.0 / exact.typical))
+    shown = renderer.render(rays, 2, pose, patch)
+    seen = expect_edges(edges, Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy), patch, shown)
     along = np.abs(edges.directions[seen.sample, 1]) < 0.5
     assert along.any()
     share = seen.merged[along].mean()
@@ -93,6 +94,26 @@ def test_the_brightness_of_faces_is_fitted() -> None:
     as_known, exchanged = misfit(seen, TRUTH), misfit(seen, TRUTH, renderer)
     assert exchanged < misfit(seen, off(TRUTH, 2.0, 0.0))
     assert exchanged < 1.3 * as_known
+
+
+def test_the_brightness_of_surfaces_follows_the_image_and_not_the_file() -> None:
+    shuffled = replace(MOCKUP, triangle_material=np.roll(MOCKUP.triangle_material, 40))
+    exchanged = PatchRenderer(shuffled, TUNING.edges)
+    exchanged._surfaces = RENDERER._surfaces
+    seen, pose = prepared(FRAME), PoseArrays.of(TRUTH)
+    known, other = (each.render(seen.rays, seen.per_px, pose, seen.patch) for each in (RENDERER, exchanged))
+    lit = known.shade > 0.5 * known.typical
+    by_file = np.abs(known.shade / known.typical - other.shade / other.typical)[lit].mean()
+    by_image = np.abs(known.fitted - other.fitted)[lit].mean() / seen.patch.typical
+    assert by_image < 0.2 * by_file
+
+
+def test_smooth_neighbours_of_one_material_are_one_surface() -> None:
+    assert len(set(surfaces_of(load_target("hexagonal-body")))) == 8  # six sides, two ends
+    surface = surfaces_of(MOCKUP)
+    assert 6 < len(set(surface)) < len(set(faces_of(MOCKUP)))
+    for number in range(surface.max() + 1):
+        assert len(set(MOCKUP.triangle_material[surface == number])) == 1
 
 
 def test_triangles_of_one_plane_and_one_material_are_one_face() -> None:

@@ -39,7 +39,7 @@ def expected(
     image = np.zeros((CAMERA.height, CAMERA.width), np.float32)
     patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0)
     renderer = PatchRenderer(target if hider is None else hider, JointEdgeConfig())
-    shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T))
+    shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T), patch)
     assert shown.shade.shape == image.shape
     return model, expect_edges(model.arrays, LENS, patch, shown)
 
