@@ -12,7 +12,6 @@ Both fits are non-negative: multiplicative steps of maximum likelihood (MLEM; L.
 Transactions on Medical Imaging 1(2), 1982) with the image's blur as the system.
 """
 
-from collections.abc import Callable
 from math import cos, radians
 from typing import NamedTuple
 
@@ -46,6 +45,10 @@ sides."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
+
+HELD = 0.01
+"""Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
+shows several parts."""
 
 
 class Mixture(NamedTuple):
@@ -91,13 +94,15 @@ def surfaces_of(target: Target) -> NDArray[np.int32]:
 def fitted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
+    A part of few pixels, or of none that it has for itself, keeps the brightness by the file.
+
     Args:
         patch: the image, smoothed.
         mixture: the parts that the pixels show at a pose.
         clip: greatest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
-    return _fitted(patch, mixture, clip, blur_px, lambda ratio: ratio)
+    return _fitted(patch, mixture, clip, blur_px, alone=True)
 
 
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
@@ -108,8 +113,7 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     """
     if not mixture.pixel.size:
         return 0.0
-    mixture = mixture._replace(weight=np.ones_like(mixture.weight))
-    rendered = _fitted(patch, mixture, clip, blur_px, lambda ratio: _blurred(ratio, blur_px))
+    rendered = _fitted(patch, mixture, clip, blur_px, alone=False)
     deviation = np.hypot(UNEVEN * rendered, np.hypot(_faint(patch), patch.noise))
     residual = np.minimum(np.abs(patch.image - rendered) / deviation, MOST_SIGMAS)
     if patch.saturated.size:
@@ -117,25 +121,30 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     return float(0.5 * np.square(residual).sum() / (4.0 * np.pi * blur_px**2))
 
 
-def _fitted(
-    patch: Patch,
-    mixture: Mixture,
-    clip: float,
-    blur_px: float,
-    smoothed: Callable[[Float32Array], Float32Array],
-) -> Float32Array:
-    """Return the rendering after ``ROUNDS`` steps, by the ratio of image over rendering, smoothed or not."""
+def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alone: bool) -> Float32Array:
+    """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
+
+    If ``alone``, pixels that show one part alone decide, and the file where there is none. Else all pixels
+    count alike, and the file does not.
+    """
+    if not alone:
+        mixture = mixture._replace(weight=np.ones_like(mixture.weight))
     shape, most, faint = patch.image.shape, np.float32(clip * patch.typical), _faint(patch)
     gain = np.ones(int(mixture.part.max()) + 1, np.float32)
     bright = mixed(gain, mixture, shape)
-    gain *= np.float32(patch.typical / np.median(bright[bright > 0.0]))
+    first = float(patch.typical / np.median(bright[bright > 0.0]))
+    gain *= np.float32(first)
 
     def shown() -> Float32Array:
         """Return the smoothed rendering, clipped like the image."""
         return _blurred(np.minimum(mixed(gain, mixture, shape), most), blur_px)
 
     for _ in range(ROUNDS):
-        adapt(gain, mixture, smoothed((patch.image + faint) / (shown() + faint)))
+        ratio = (patch.image + faint) / (shown() + faint)
+        if alone:
+            adapt(gain, (first, HELD), mixture, ratio)
+        else:
+            adapt(gain, (first, 0.0), mixture, _blurred(ratio, blur_px))
     return shown()
 
 
@@ -236,21 +245,26 @@ def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int]) -> Float
 
 
 @kernel
-def adapt(gain: Float32Array, mixture: Mixture, ratio: Float32Array) -> None:
+def adapt(gain: Float32Array, prior: tuple[float, float], mixture: Mixture, ratio: Float32Array) -> None:
     """Multiply the factor of each part by the mean ratio of image over rendering in its pixels.
 
     Args:
         gain: factor on the brightness of each part, shape (K,), input and output.
+        prior: factor by the file, the same for all parts, and its weight in pixels of one part.
         mixture: the parts that the pixels show.
         ratio: image over rendering, shape (rows, columns).
     """
     sums, weights = np.zeros(gain.size), np.zeros(gain.size)
-    ratios, weight = ratio.ravel(), mixture.weight.ravel()
+    lights, counts = np.zeros(gain.size), np.zeros(gain.size)
+    ratios, weight, (first, held) = ratio.ravel(), mixture.weight.ravel(), prior
     for n in range(mixture.pixel.size):
         k, pixel = mixture.part[n], mixture.pixel[n]
-        share = gain[k] * mixture.light[n] * weight[pixel]
-        sums[k] += share * ratios[pixel]
-        weights[k] += share
+        light = gain[k] * mixture.light[n]
+        sums[k] += light * weight[pixel] * ratios[pixel]
+        weights[k] += light * weight[pixel]
+        lights[k] += light
+        counts[k] += 1.0
     for k in range(gain.size):
         if weights[k] > 0.0:
-            gain[k] *= sums[k] / weights[k]
+            known = held * lights[k] / counts[k]
+            gain[k] *= (sums[k] + known * first / gain[k]) / (weights[k] + known)

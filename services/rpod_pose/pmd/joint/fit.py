@@ -118,6 +118,8 @@ class EdgeEvidence(NamedTuple):
     """Number of samples whose place in the image could be searched."""
     found: int
     """Number of these that are near their place: within ``SCALE`` of the reach."""
+    expected: float
+    """Expected number of these near their place at the right pose."""
     in_place: FloatArray
     """Sum of the weights (``add_in_place``) of the found samples, its expectation at the right pose, and that
     of the sum of their squares, shape (3,)."""
@@ -172,10 +174,9 @@ def add_edge_points(
         errors: assumed errors of edges.
     """
     edges, lens, patch, expected_edges = sight
-    places, directions = edges.places_m, edges.directions
-    R, t = pose.R, pose.t
-    squares, inliers, checked, found, in_place, shifted, noise_px2 = 0.0, 0, 0, 0, np.zeros(3), 0, 0.0
-    near2, c2, shift = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums()
+    (R, t), places, directions = pose, edges.places_m, edges.directions
+    squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
+    near2, c2, shift, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums(), np.zeros(3)
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
@@ -201,6 +202,7 @@ def add_edge_points(
         found += near
         noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
         share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+        expected += share
         add_in_place(in_place, share, near)
         if change == 0.0:
             continue
@@ -217,7 +219,7 @@ def add_edge_points(
                 shifted += 1
                 weight = geman_mcclure(e2, c2)
                 add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
-    return EdgeEvidence(squares, inliers, checked, found, in_place, shifted, noise_px2, shift)
+    return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shift)
 
 
 @kernel

@@ -307,7 +307,7 @@ def _patch(
     if min(part.shape) < MIN_PATCH:
         return _NO_PATCH
     saturated = None if frame.saturated is None else frame.saturated[around]
-    typical = typical_of(part, frame.depth_m[around] > 0.0, typical)
+    typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
     if typical <= 0.0:
         return _NO_PATCH
     known = part if saturated is None else np.where(saturated, np.float32(0.0), part)

@@ -373,8 +373,7 @@ class JointTracker:
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         if found.checked < tuning.acceptance.min_edges:
             return None
-        weighed, expected, _ = found.in_place
-        return float(weighed / expected) if expected else 0.0
+        return found.found / max(found.expected, 1.0)
 
     def _radius_px(self, seen: JointFrame) -> float:
         """Return the target's radius in the image, at the depth of what is seen, px."""
