@@ -37,15 +37,12 @@ larger; another body or a shadow is an outlier."""
 PLANES = 50.0
 """Number of steps in which normals and offsets of faces are told apart. Numerics: a degree, and 2 % of the
 radius; more faces need more steps of the fit."""
-
-
 SMOOTH_DEG = 30.0
 """Angle between neighbouring faces up to which they are one surface. Physics: a round body of at least twelve
 sides."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
-
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
@@ -85,9 +82,8 @@ def surfaces_of(target: Target) -> NDArray[np.int32]:
     one, other = beside[:-1][same], beside[1:][same]
     smooth = np.einsum("ni,ni->n", normals[one], normals[other]) > cos(radians(SMOOTH_DEG))
     smooth &= material[one] == material[other]
-    found: NDArray[np.int32] = components(np.column_stack((one, other))[smooth], size=len(normals)).astype(
-        np.int32
-    )
+    joined = np.column_stack((one, other))[smooth]
+    found: NDArray[np.int32] = components(joined, size=len(normals)).astype(np.int32)
     return found
 
 
