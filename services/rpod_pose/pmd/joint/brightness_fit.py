@@ -136,7 +136,7 @@ def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alon
         return _blurred(np.minimum(mixed(gain, mixture, shape), most), blur_px)
 
     for _ in range(ROUNDS):
-        ratio = (patch.image + faint) / (shown() + faint)
+        ratio = ((patch.image + faint) / (shown() + faint)).astype(np.float32, copy=False)
         if alone:
             adapt(gain, (first, HELD), mixture, ratio)
         else:
@@ -178,7 +178,8 @@ def mixture_of(
                     if met < 0:
                         sky = True
                     else:
-                        count = _add(numbers, lights, (first, count), part[met], light[met])
+                        share = int(part[met]), float(light[met])
+                        count = _add(numbers, lights, (first, count), share)
             pixels[first:count] = i * columns + j
             if count == first + 1 and not sky:
                 alone[i, j] = numbers[first]
@@ -187,7 +188,7 @@ def mixture_of(
 
 @kernel
 def _add(
-    numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], number: int, light: float
+    numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], share: tuple[int, float]
 ) -> int:
     """Add a ray's light to its part in a pixel; return the number of shares so far.
 
@@ -195,10 +196,9 @@ def _add(
         numbers: parts of the shares, shape (M,) or more, input and output.
         lights: their light, same shape, input and output.
         span: first share of the pixel, and number of shares so far.
-        number: part that the ray meets.
-        light: brightness that it adds.
+        share: part that the ray meets, and brightness that it adds.
     """
-    first, count = span
+    (first, count), (number, light) = span, share
     k = first
     while k < count and numbers[k] != number:
         k += 1
