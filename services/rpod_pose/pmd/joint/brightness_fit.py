@@ -24,7 +24,7 @@ from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
-from rpod_target.mesh.topology import components, directed_edges, welded
+from rpod_target.mesh.topology import components, edges
 
 ROUNDS = 3
 """Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
@@ -57,9 +57,8 @@ class Mixture(NamedTuple):
     """Number of the part, shape (M,)."""
     light: Float32Array
     """Brightness that the part adds to the pixel, shape (M,)."""
-    weight: Float32Array
-    """Weight of each pixel in the fit: 1 if it and its neighbours show one part, else ``MIXED``; shape
-    (rows, columns)."""
+    alone: NDArray[np.int32]
+    """Number of the part that a pixel shows alone, -1 for others or the sky, shape (rows, columns)."""
 
 
 def faces_of(target: Target) -> NDArray[np.int32]:
@@ -75,15 +74,11 @@ def faces_of(target: Target) -> NDArray[np.int32]:
 def surfaces_of(target: Target) -> NDArray[np.int32]:
     """Return the number of the smooth surface of one material to which each triangle belongs, shape (T,)."""
     normals, material = np.asarray(target.normals), np.asarray(target.triangle_material)
-    edges = np.sort(directed_edges(welded(np.asarray(target.triangles_m))), axis=1)
-    order = np.lexsort(edges.T)
-    beside = order // 3
-    same = (edges[order[1:]] == edges[order[:-1]]).all(axis=1)
-    one, other = beside[:-1][same], beside[1:][same]
+    _, beside = edges(np.asarray(target.triangles_m))
+    one, other = beside.T
     smooth = np.einsum("ni,ni->n", normals[one], normals[other]) > cos(radians(SMOOTH_DEG))
     smooth &= material[one] == material[other]
-    joined = np.column_stack((one, other))[smooth]
-    found: NDArray[np.int32] = components(joined, size=len(normals)).astype(np.int32)
+    found: NDArray[np.int32] = components(beside[smooth], size=len(normals)).astype(np.int32)
     return found
 
 
@@ -123,8 +118,7 @@ def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alon
     If ``alone``, pixels that show one part alone decide, and the file where there is none. Else all pixels
     count alike, and the file does not.
     """
-    if not alone:
-        mixture = mixture._replace(weight=np.ones_like(mixture.weight))
+    weight = weights(mixture.alone) if alone else np.ones(mixture.alone.shape, np.float32)
     shape, most, faint = patch.image.shape, np.float32(clip * patch.typical), _faint(patch)
     gain = np.ones(int(mixture.part.max()) + 1, np.float32)
     bright = mixed(gain, mixture, shape)
@@ -138,9 +132,9 @@ def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alon
     for _ in range(ROUNDS):
         ratio = ((patch.image + faint) / (shown() + faint)).astype(np.float32, copy=False)
         if alone:
-            adapt(gain, (first, HELD), mixture, ratio)
+            adapt(gain, (first, HELD), mixture, weight, ratio)
         else:
-            adapt(gain, (first, 0.0), mixture, _blurred(ratio, blur_px))
+            adapt(gain, (first, 0.0), mixture, weight, _blurred(ratio, blur_px))
     return shown()
 
 
@@ -183,7 +177,7 @@ def mixture_of(
             pixels[first:count] = i * columns + j
             if count == first + 1 and not sky:
                 alone[i, j] = numbers[first]
-    return Mixture(pixels[:count].copy(), numbers[:count].copy(), lights[:count].copy(), _weights(alone))
+    return Mixture(pixels[:count].copy(), numbers[:count].copy(), lights[:count].copy(), alone)
 
 
 @kernel
@@ -210,8 +204,12 @@ def _add(
 
 
 @kernel
-def _weights(alone: NDArray[np.int32]) -> Float32Array:
-    """Return the weight of each pixel, by the part that it shows alone, -1 if it does not; same shape."""
+def weights(alone: NDArray[np.int32]) -> Float32Array:
+    """Return the weight of each pixel in the fit: 1 if it and its neighbours show one part, else ``MIXED``.
+
+    Args:
+        alone: part that each pixel shows alone, -1 for none, shape (rows, columns), as the result.
+    """
     rows, columns = alone.shape
     weight = np.full((rows, columns), MIXED, np.float32)
     for i in range(1, rows - 1):
@@ -241,26 +239,33 @@ def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int]) -> Float
 
 
 @kernel
-def adapt(gain: Float32Array, prior: tuple[float, float], mixture: Mixture, ratio: Float32Array) -> None:
+def adapt(
+    gain: Float32Array,
+    prior: tuple[float, float],
+    mixture: Mixture,
+    weight: Float32Array,
+    ratio: Float32Array,
+) -> None:
     """Multiply the factor of each part by the mean ratio of image over rendering in its pixels.
 
     Args:
         gain: factor on the brightness of each part, shape (K,), input and output.
         prior: factor by the file, the same for all parts, and its weight in pixels of one part.
         mixture: the parts that the pixels show.
+        weight: weight of each pixel, shape (rows, columns).
         ratio: image over rendering, shape (rows, columns).
     """
-    sums, weights = np.zeros(gain.size), np.zeros(gain.size)
+    sums, whole = np.zeros(gain.size), np.zeros(gain.size)
     lights, counts = np.zeros(gain.size), np.zeros(gain.size)
-    ratios, weight, (first, held) = ratio.ravel(), mixture.weight.ravel(), prior
+    ratios, shares, (first, held) = ratio.ravel(), weight.ravel(), prior
     for n in range(mixture.pixel.size):
         k, pixel = mixture.part[n], mixture.pixel[n]
         light = gain[k] * mixture.light[n]
-        sums[k] += light * weight[pixel] * ratios[pixel]
-        weights[k] += light * weight[pixel]
+        sums[k] += light * shares[pixel] * ratios[pixel]
+        whole[k] += light * shares[pixel]
         lights[k] += light
         counts[k] += 1.0
     for k in range(gain.size):
-        if weights[k] > 0.0:
+        if whole[k] > 0.0:
             known = held * lights[k] / counts[k]
-            gain[k] *= (sums[k] + known * first / gain[k]) / (weights[k] + known)
+            gain[k] *= (sums[k] + known * first / gain[k]) / (whole[k] + known)
