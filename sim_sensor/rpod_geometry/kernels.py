@@ -6,6 +6,9 @@ them. Its docstring gives shapes and units. A test checks these rules (``tests/u
 """
 
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from fcntl import LOCK_EX, LOCK_SH, flock
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from numba import njit
@@ -59,9 +62,11 @@ def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _kept(compiled: Any) -> Any:
-    """Return a kernel that ignores its cache file if the file names a record that no longer exists.
+    """Return a kernel whose cache file is safe to read.
 
-    This is necessary because numba reads the types in a cache file before it checks whether the file is old.
+    It ignores a file that names a record that no longer exists: numba reads the types in a file before it
+    checks whether the file is old. One process at a time writes, and none reads meanwhile
+    (``one_at_a_time``).
     """
     file = compiled._cache._cache_file
     load = file._load_index
@@ -73,4 +78,27 @@ def _kept(compiled: Any) -> Any:
             return {}
 
     file._load_index = load_index
+    one_at_a_time(file)
     return compiled
+
+
+def one_at_a_time(file: Any) -> None:
+    """Make numba's cache file of a kernel wait while another process writes it.
+
+    Numba chooses the number of a file from an index that it reads before. Of two processes that compile a
+    kernel for different types at once, both may choose the same number. The index then gives one type the
+    code of the other, which ends a process by SIGSEGV.
+    """
+
+    def locked(call: Callable[P, R], lock: int) -> Callable[P, R]:
+        def waits(*args: P.args, **kwargs: P.kwargs) -> R:
+            with ExitStack() as held:
+                # No folder yet, or one that is read-only: nobody of us writes there.
+                with suppress(OSError):
+                    opened = held.enter_context(Path(file._cache_path, "kernels.lock").open("a"))
+                    flock(opened, lock)
+                return call(*args, **kwargs)
+
+        return waits
+
+    file.save, file.load = locked(file.save, LOCK_EX), locked(file.load, LOCK_SH)

@@ -4,17 +4,21 @@ import importlib
 import inspect
 import pkgutil
 import re
+import time
 import typing
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 import rpod_geometry
 import rpod_pose
 import rpod_sim_sensor
 from rpod_geometry.kernels import kernel as compiled
+from rpod_geometry.kernels import one_at_a_time
 from rpod_pose.registration.gauss_newton import minimised
 
 MOST_ARGUMENTS, MOST_RETURNED = 7, 3
@@ -96,3 +100,25 @@ def test_a_kernel_kept_for_a_record_that_is_no_longer_there_is_compiled_anew(mon
     with pytest.raises(AttributeError, match="Gone"):
         plain._cache._cache_file._load_index()
     assert compiled(length)._cache._cache_file._load_index() == {}
+
+
+def test_two_processes_that_compile_a_kernel_for_different_types_at_once_keep_both(tmp_path):
+    def file():
+        made = IndexDataCacheFile(str(tmp_path), "kernel", source_stamp=1)
+        load = made._load_index
+
+        def slow():
+            found = load()
+            time.sleep(0.2)  # the other one reads the index meanwhile
+            return found
+
+        made._load_index = slow
+        one_at_a_time(made)  # a lock is of an opened file: two threads are like two processes
+        return made
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda kind: file().save(kind, f"code for {kind}"), ("float32", "float64")))
+    assert {kind: file().load(kind) for kind in ("float32", "float64")} == {
+        "float32": "code for float32",
+        "float64": "code for float64",
+    }
