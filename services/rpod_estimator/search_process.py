@@ -7,10 +7,11 @@ threads than after its imports. These are harmless: those of ``lifecycle``, whic
 of OpenBLAS, which ends them itself before a fork. Otherwise (Open3D has threads once it has built a target),
 and at each restart, the process is spawned: it makes its methods anew, which takes seconds.
 
-The process searches at a lower priority than the estimator, and ends with it. The estimator waits until the
-process is warm. One that is spawned at the start has the usual priority until then. A search that nobody
-waits for any more ends at its next step. If it has not ended after about the time of a restart, the process
-is replaced.
+Beside a track the process searches at a lower priority than the estimator, and is replaced at this priority;
+without a track nothing is more urgent than the search. Linux gives each thread a priority of its own, which
+can only be lowered: what is less urgent runs in a thread. The process ends with the estimator, which waits
+until the process is warm. A search that nobody waits for any more ends at its next step. If it has not ended
+after about the time of a restart, the process is replaced.
 """
 
 import gc
@@ -21,7 +22,9 @@ import pickle
 import signal
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import dataclass
 from multiprocessing import Pipe, get_context, resource_tracker
 from multiprocessing.connection import Connection
@@ -42,7 +45,7 @@ from rpod_target import Target, load_target
 log = logging.getLogger(__name__)
 
 NICENESS = 10
-"""Lower priority of a search: a tracked frame on a loaded machine does not wait for it."""
+"""Lower priority of a search beside a track: a tracked frame on a loaded machine does not wait for it."""
 RESTART_S = 3.0
 """About the time in which a process starts, imports and warms up, s."""
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -199,25 +202,31 @@ def serve(
         connection: connection to the estimator.
         target_name: name or file of the target.
         sensor: configuration of the sensor.
-        beside_tracking: whether the start has the lower priority too.
+        beside_tracking: whether the methods are made at the lower priority.
     """
     _ignore_stops()
-    if beside_tracking:
-        os.nice(NICENESS)
-    target = load_target(target_name)
-    setup = kind_methods(sensor).setup(sensor, None)
-    methods = None if setup is None else ready_methods(sensor, target, setup)
-    if not beside_tracking:
-        os.nice(NICENESS)
-    _search_on(connection, sensor, Loaded(target, methods, setup))
+    with _less_urgent() as executor:
+
+        def load() -> Loaded:
+            target = load_target(target_name)
+            setup = kind_methods(sensor).setup(sensor, None)
+            return Loaded(target, None if setup is None else ready_methods(sensor, target, setup), setup)
+
+        loaded = executor.submit(load).result() if beside_tracking else load()
+        _search_on(connection, sensor, loaded, executor)
 
 
 def _serve_forked(connection: Connection, theirs: Connection, sensor: SensorInput, loaded: Loaded) -> None:
     signal.set_wakeup_fd(-1)  # a signal to this process must not wake the estimator
     _ignore_stops()
     theirs.close()  # with a copy of the estimator's connection, this process would not notice its closing
-    os.nice(NICENESS)
-    _search_on(connection, sensor, loaded)
+    with _less_urgent() as executor:
+        _search_on(connection, sensor, loaded, executor)
+
+
+def _less_urgent() -> ThreadPoolExecutor:
+    """Return an executor whose one thread has a lower priority than the rest of the process."""
+    return ThreadPoolExecutor(1, "less-urgent", initializer=os.nice, initargs=(NICENESS,))
 
 
 def _ignore_stops() -> None:
@@ -227,7 +236,9 @@ def _ignore_stops() -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
 
 
-def _search_on(connection: Connection, sensor: SensorInput, loaded: Loaded) -> None:
+def _search_on(
+    connection: Connection, sensor: SensorInput, loaded: Loaded, less_urgent: ThreadPoolExecutor
+) -> None:
     target, methods, known = loaded.target, loaded.methods, pickle.dumps(loaded.setup)
     with suppress(EOFError, OSError):
         connection.send_bytes(_READY)
@@ -238,7 +249,11 @@ def _search_on(connection: Connection, sensor: SensorInput, loaded: Loaded) -> N
             if methods is None or pickle.dumps(setup) != known:
                 methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
             with unless(connection.poll):  # whatever is sent during a search cancels it
-                connection.send_bytes(packed(_found(search, methods)))
+                if search.beside_track:
+                    found = less_urgent.submit(copy_context().run, _found, search, methods).result()
+                else:
+                    found = _found(search, methods)
+            connection.send_bytes(packed(found))
 
 
 def native_threads() -> int | None:

@@ -3,6 +3,7 @@
 A comment stands on the line above the block, ``<!-- kind: text -->`` or ``<!-- kind -->``:
 
 ``not run: reason``    the block is left out
+``in full``            its runs and campaigns are as long as the document shows
 ``in the background``  each command is a process that goes on until the document ends, once it is ready
 ``end the background`` they end here; no block is needed
 ``output``             the block is what the block before prints; ``...`` stands for anything
@@ -20,7 +21,7 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 _COMMENT = re.compile(r"<!--\s*([a-z ]+?)\s*(?::\s*(.*?))?\s*-->")
-_KINDS = ("not run", "in the background", "output", "same as", "given", "end the background")
+_KINDS = ("not run", "in full", "in the background", "output", "same as", "given", "end the background")
 _ALONE = ("given", "end the background")
 
 

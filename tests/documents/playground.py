@@ -47,6 +47,7 @@ class Playground:
         }
         self._kinds: dict[str, Callable[[Block], None]] = {
             "": self._plain,
+            "in full": self._in_full,
             "not run": self._leave_out,
             "in the background": self._start,
             "output": self._compare,
@@ -69,7 +70,7 @@ class Playground:
         if block.title:
             (self._folder / block.title).write_text(self._here(block.text), "utf-8")
         elif block.language == "sh":
-            self._printed = "".join(self._run(block, command) for command in commands(block.text))
+            self._printed = "".join(self._run(block, shortened(command)) for command in commands(block.text))
         elif block.language == "python":
             self._printed = self._python(block)
         else:
@@ -77,6 +78,9 @@ class Playground:
             assert shown, (
                 f"{block}: {block.language!r} is not run: give the block a title, or say why in a comment"
             )
+
+    def _in_full(self, block: Block) -> None:
+        self._printed = "".join(self._run(block, command) for command in commands(block.text))
 
     def _leave_out(self, block: Block) -> None:
         assert block.said, f"{block}: 'not run' needs a reason"
@@ -119,7 +123,7 @@ class Playground:
         if command.startswith("make "):
             return _make(block, command)
         ended = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", shortened(self._here(command))],
+            ["bash", "-euo", "pipefail", "-c", self._here(command)],
             cwd=self._folder,
             env=self._environment,
             stdin=subprocess.DEVNULL,

@@ -207,7 +207,7 @@ class Navigator:
 
     def _ask(self, state: NavigatorState, search: Search) -> tuple[NavigatorState, Output]:
         """Let a frame be searched; take the result if it is there at once."""
-        found = self._searches.result(search)
+        found = self._searches.result(search := replace(search, beside_track=state.mode.has_track))
         if found is not None:
             return self._conclude(state, search, found)
         state = state.searching(replace(search, waited=1))

@@ -107,3 +107,22 @@ os.kill(os.getpid(), signal.SIGKILL)
     # that this returns shows the end of the forks, which hold the other end of its output
     counted = said(body, code=-signal.SIGKILL, OPENBLAS_NUM_THREADS="1")
     assert counted == "1 1", "threads after the imports, and after the methods"
+
+
+def test_a_search_has_a_lower_priority_only_while_the_target_is_tracked():
+    body = """
+from dataclasses import replace
+from pathlib import Path
+def body(stop):
+    forked = SearchProcess("mockup", sensor, Loaded(target, methods, ()))
+    tasks = Path(f"/proc/{forked._process.pid}/task")
+    for beside_track in (False, True, False):
+        forked.begin(replace(search(), beside_track=beside_track), ())
+        assert result(forked).acquisition.pose is not None
+        threads = {int(each.name): int(each.joinpath("stat").read_text().rpartition(")")[2].split()[16])
+                   for each in tasks.iterdir()}
+        print(threads.pop(forked._process.pid), sorted(set(threads.values()) - {0}))
+lifecycle.run("estimator", body)
+"""
+    given = said(body, RPOD_SUPERVISED="1", OPENBLAS_NUM_THREADS="1")
+    assert given.splitlines() == ["0 []", "0 [10]", "0 [10]"], "of the first thread, and of others"

@@ -59,6 +59,8 @@ class Search:
     """Registration by the tracker in the frame; None if it was not asked."""
     reason: str = ""
     """Why the frame is not used if nothing is found near the pose."""
+    beside_track: bool = False
+    """Whether the target is tracked while it runs, so that it is less urgent than a tracked frame."""
     waited: int = 0
     """Number of frames of its sensor that have come since."""
 
