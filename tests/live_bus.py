@@ -61,7 +61,11 @@ def first(inbox: Inbox, fits: Callable[[Any], Any], timeout_s: float = TIMEOUT_S
 
 @contextmanager
 def daemon(run: Callable[..., None], config: Any) -> Iterator[Event]:
-    """Run a service in a thread; stop it at the end, and raise what it raised."""
+    """Run a service in a thread; stop it at the end, and raise what it raised.
+
+    Yields:
+        An event that stops the service. It is set, too, when the service raises.
+    """
     stop = Event()
     raised: list[Exception] = []
 
@@ -70,6 +74,7 @@ def daemon(run: Callable[..., None], config: Any) -> Iterator[Event]:
             run(config, version="test", stop=stop)
         except Exception as error:  # noqa: BLE001 - raised again below
             raised.append(error)
+            stop.set()
 
     thread = Thread(target=body, name=config.instance)
     thread.start()
@@ -78,6 +83,6 @@ def daemon(run: Callable[..., None], config: Any) -> Iterator[Event]:
     finally:
         stop.set()
         thread.join(TIMEOUT_S)
+        if raised:
+            raise raised[0]
     assert not thread.is_alive(), f"{config.instance} does not stop"
-    if raised:
-        raise raised[0]

@@ -1,5 +1,6 @@
 """The command line: parses, loads configurations, runs, and turns errors into exit codes."""
 
+import faulthandler
 import gc
 import sys
 from collections.abc import Callable
@@ -62,6 +63,8 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as
 
 def main() -> None:
     """Run the command line; a verb whose extra is not installed names the missing package."""
+    if sys.stderr is not None:
+        faulthandler.enable()  # where compiled code ends the process, the operator sees which call it was
     try:
         app()
     except ModuleNotFoundError as error:

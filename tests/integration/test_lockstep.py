@@ -5,6 +5,7 @@ Motion, emulator and estimator are the real ones, in threads; the test listens i
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from threading import Event
 from uuid import uuid4
 
 import pytest
@@ -45,6 +46,8 @@ from rpod_schemas.topics import (
 from rpod_schemas.types import Camera, EstimatorStatus
 
 EPOCH_NS = 1_767_225_600 * NANOSECONDS
+_COMPILED_S = 200.0
+"""Longest time of a step: kernels that are not compiled yet are compiled in it."""
 CAMERA = Camera(width=88, height=72, fx=170.0, fy=170.0, cx=43.5, cy=35.5)
 PMD = PmdConfig(rate_hz=15.0, camera=CAMERA, T_chaser_sensor=make_pose(translation_m=[0.0, -0.05, 0.0]))
 SCAN = ScanPatternConfig(azimuth_span_deg=30.0, elevation_span_deg=30.0, step_deg=1.0)
@@ -115,14 +118,14 @@ class Bench:
         with (
             daemon(run_estimator, configs[0]),
             daemon(run_emulator, configs[1]),
-            daemon(run_motion, configs[2]),
+            daemon(run_motion, configs[2]) as motion,
         ):
             for instance in ("estimator", "emulator", "motion"):
                 self.until(instance, "ready")
             for instance in ("emulator", "motion"):
                 request = StartRequest(epoch_ns=EPOCH_NS, duration_s=duration_s)
                 assert self.node.ask(instance, "start", Accepted, request, timeout_s=TIMEOUT_S).accepted
-            self.until("motion", "finished")
+            self.until("motion", "finished", ended=motion)
         return self.inbox.wait(0.0)
 
     def _configs(self, sensors, inputs, duration_s, seed, **estimator):
@@ -140,13 +143,14 @@ class Bench:
                 await_start=True,
                 speed="max",
                 lockstep=LockstepConfig(
-                    logger=None, answered=tuple(each.name for each in inputs), timeout_s=30.0
+                    logger=None, answered=tuple(each.name for each in inputs), timeout_s=_COMPILED_S
                 ),
             ),
         )
 
-    def until(self, instance: str, state: str) -> None:
+    def until(self, instance: str, state: str, ended: Event | None = None) -> None:
         for _ in range(600):
+            assert ended is None or not ended.is_set(), f"{instance} has ended before it was {state}"
             try:
                 if self.node.ask(instance, "status", StatusReply, timeout_s=TIMEOUT_S).state == state:
                     return

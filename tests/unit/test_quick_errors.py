@@ -1,5 +1,6 @@
 """Errors of arguments are told before the slow imports of what would use them."""
 
+import signal
 import subprocess
 import sys
 
@@ -27,3 +28,18 @@ def test_a_file_that_is_not_there_is_told_before_anything_slow_is_imported(verb,
     )
     assert done.stdout.startswith("2 [] ")
     assert f"rpod target {verb}: {file}: cannot be read (No such file or directory)" in done.stdout
+
+
+def test_a_process_that_compiled_code_ends_tells_the_call():
+    script = """
+import os, signal, sys
+import rpod.__main__
+rpod.__main__.app = lambda: os.kill(os.getpid(), signal.SIGSEGV)
+rpod.__main__.main()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == -signal.SIGSEGV
+    assert "Segmentation fault" in ended.stderr
+    assert "in main" in ended.stderr
