@@ -23,11 +23,12 @@ from rpod_campaign.catalogue import find
 from rpod_campaign.engine import CampaignError, Options, Section
 from rpod_campaign.engine.errors import CampaignUnknownError, TrialFailedError
 from rpod_campaign.engine.executor import Executor
-from rpod_campaign.engine.executor.pool import ProcessPool, cores
+from rpod_campaign.engine.executor.pool import ProcessPool
 from rpod_campaign.engine.report.models import models_section
 from rpod_campaign.engine.report.page import write_page
 from rpod_campaign.engine.run import prepare, run_campaign
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.load import cores
 from rpod_schemas.config.base import check
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import TargetError

@@ -93,7 +93,10 @@ class SensorBook:
         """How its clock drifts, if it drifts more than is declared; else empty."""
         self.sync = SensorSync()
         """How the sensor keeps time, by its driver."""
+        self.busy = ""
+        """How busy this machine is, if other processes may be why frames wait; else empty."""
         self._recent: deque[_Frame] = deque(maxlen=1024)
+        self._dropped_s: deque[float] = deque(maxlen=1024)
         self._gaps_s: deque[float] = deque(maxlen=9)
         self._heard_s: float | None = None
         self._since_s = now_s
@@ -133,6 +136,10 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
+    def drop(self, now_s: float) -> None:
+        """Note a frame that was not processed, because newer ones came while the estimator worked."""
+        self._dropped_s.append(now_s)
+
     def note_others(self, now_s: float, unused: str = "") -> None:
         """Note that parts of a frame came without the leading one; ``unused`` says why no frame uses them."""
         self._others_s = now_s
@@ -171,7 +178,9 @@ class SensorBook:
         past_s = now_s - self._recent[0].time_s
         check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
         hint = self.hint if latest.kind == REJECTED else ""
-        text = "; ".join(filter(None, (latest.text, self.clock, self.drift, self.defect, hint, check)))
+        busy = self._overloaded(now_s) or (self.busy if latest.kind == SEARCHING else "")
+        known = latest.text, self.clock, self.drift, self.defect, hint, busy, check
+        text = "; ".join(filter(None, known))
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _bus_silent_s(self, bus_s: float | None) -> float:
@@ -190,7 +199,7 @@ class SensorBook:
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if known := "; ".join(filter(None, (self.clock, self.drift, self.defect))):
+        if known := "; ".join(filter(None, (self.clock, self.drift, self.defect, self._overloaded(now_s)))):
             return InputState(Health.WARN, f"{self.name}: {known}")
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
@@ -207,6 +216,16 @@ class SensorBook:
             return OK
         text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
         return InputState(Health.WARN, text)
+
+    def _overloaded(self, now_s: float) -> str:
+        """Return that more than half of the recent frames were dropped, with the remedy; else empty."""
+        dropped = sum(now_s - time_s <= WINDOW_S for time_s in tuple(self._dropped_s))
+        processed = sum(now_s - frame.time_s <= WINDOW_S for frame in self._recent)
+        if dropped < LEAST_FRAMES or dropped <= processed:
+            return ""
+        remedy = ("end other work, or " if self.busy else "") + "lower the sensor's rate or its image size"
+        text = f"{dropped} of {dropped + processed} frames dropped: they come faster than they are processed"
+        return "; ".join(filter(None, (text, self.busy, remedy)))
 
     def _silence(self, silent_s: float, of_time: str = "", *, others: bool) -> str:
         time = f"{silent_s:.0f} s{of_time}"

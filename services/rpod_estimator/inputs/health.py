@@ -23,6 +23,7 @@ from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.health import HealthBook
+from rpod_runtime.process.load import busy_machine
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Diagnostic, Health, Mode, SensorSync
@@ -87,6 +88,11 @@ class InputHealth:
         else:
             book.note_others(now_s, unused(frame, leading))
 
+    def drop(self, sensor: str, now_s: float) -> None:
+        """Count a frame that was not processed, because newer ones came while the estimator worked."""
+        self._health.count(f"dropped/{sensor}")
+        self.books[sensor].drop(now_s)
+
     def rest(self, pause_s: float) -> None:
         """Note the time between two searches, 0 while they are not limited."""
         self._pause_s = pause_s
@@ -117,8 +123,9 @@ class InputHealth:
         self._health.report(level, "; ".join(filter(None, (mode.name.lower(), self._state.text))))
 
     def _update(self, now_s: float, bus_s: float | None) -> InputState:
-        states = []
+        states, busy = [], busy_machine()
         for sensor, book in self.books.items():
+            book.busy = busy
             self._health.put(f"inputs/{sensor}/used", book.used)
             for kind, frames in book.lost.items():
                 self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)

@@ -155,7 +155,7 @@ class Subscriptions:
         if dropped is not None:
             sensor, part = self._reader.parts[dropped.topic.name]
             if part == self._reader.leading[sensor]:
-                self._node.health.count(f"dropped/{sensor}")
+                self.health.drop(sensor, time.monotonic())
 
     def _release(self) -> None:
         for sensor, assembler in self._reader.assemblers.items():
@@ -318,7 +318,7 @@ class Subscriptions:
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:
             if self._newest.put(sensor, frame):
-                self._node.health.count(f"dropped/{sensor}")
+                self.health.drop(sensor, time.monotonic())
 
     def _check_freshness(self, sensor: str, received: Received, stamp_ns: int) -> None:
         """Check a stamp against the time of arrival: the estimator's own delay does not count."""

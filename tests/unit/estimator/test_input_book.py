@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, Loss, SensorBook, unpaired
+from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, SEARCHING, Loss, SensorBook, unpaired
 from rpod_estimator.inputs.health import InputHealth
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
@@ -52,6 +52,35 @@ def test_the_level_follows_the_share_of_frames_that_were_not_used(losses, level,
     assert state.level == level
     assert words in state.text
     assert bool(words) == bool(state.text)
+
+
+BUSY = "this machine is busy: load 5.0 on 2 cores"
+
+
+@pytest.mark.parametrize(
+    ("busy", "remedy"),
+    [("", "lower the sensor's rate or its image size"), (BUSY, f"{BUSY}; end other work, or lower the")],
+)
+def test_frames_that_are_mostly_dropped_are_told_with_the_load_of_the_machine(busy, remedy):
+    book, now_s = book_after([None] * 16)
+    book.busy = busy
+    for _ in range(15):
+        book.drop(now_s)
+    assert book.state(now_s).level == Health.OK
+    for _ in range(5):
+        book.drop(now_s)
+    state = book.state(now_s)
+    assert state.level == Health.WARN
+    assert "20 of 36 frames dropped: they come faster than they are processed" in state.text
+    assert remedy in state.text
+    assert "dropped" not in book.state(now_s + 3.0).text
+
+
+def test_a_search_that_takes_long_on_a_busy_machine_is_told_with_its_load():
+    book, now_s = book_after([Loss(SEARCHING, "its search for a first pose takes long")] * 30)
+    assert "busy" not in book.state(now_s).text
+    book.busy = BUSY
+    assert BUSY in book.state(now_s).text
 
 
 @pytest.mark.parametrize(("every", "level"), [(2, Health.WARN), (7, Health.WARN), (16, Health.OK)])

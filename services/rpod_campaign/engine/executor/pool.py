@@ -15,6 +15,7 @@ from multiprocessing.process import BaseProcess
 from rpod_campaign.engine.errors import WorkerDiedError
 from rpod_campaign.engine.executor.outcome import Outcome, run_batch
 from rpod_campaign.engine.executor.port import Finished, Task, Work
+from rpod_runtime.process.load import cores
 
 ONE_THREAD = (
     "OMP_NUM_THREADS",
@@ -28,11 +29,6 @@ _WAITING = 2
 _EXIT_S = 5.0
 """Longest wait for the exit code of a process that ended, s."""
 _POLL_S = 0.01
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass
