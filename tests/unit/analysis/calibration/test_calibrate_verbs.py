@@ -170,7 +170,7 @@ def test_a_background_of_a_log_with_truth_is_written_with_a_warning(poor_logs, t
     monkeypatch.chdir(tmp_path)
     learned = rpod("background", poor_logs / "lidar.mcap")
     assert learned.exit_code == 0, learned.output
-    assert "the log has truth; if the target is in view" in learned.stderr
+    assert "the log has truth; a target in view" in learned.stderr
     assert "lidar: 11 frames" in learned.stdout
     assert rpod("background", poor_logs / "blind.mcap").stderr == ""
 
