@@ -28,7 +28,7 @@ from rpod_schemas.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
 _FIRST_VERBS = ("run", "scenarios", "report", "view", "replay", "target", "campaign", "calibrate", "driver")
-"""The verbs of the first day; the help lists them before the others."""
+"""The verbs that a new user needs; the help lists them before the others."""
 
 
 class _VerbGroup(TyperGroup):
@@ -68,7 +68,7 @@ def main() -> None:
         print(f"rpod: this verb needs {error.name}: pip install 'rpod[all]'", file=sys.stderr)
         sys.exit(EXIT_FAILURE)
     finally:
-        gc.freeze()  # or the interpreter looks at every object of every library at its end, up to 0.7 s
+        gc.freeze()  # else the interpreter examines all objects of all libraries at its end, for up to 0.7 s
 
 
 def _refuse(error: ConfigurationError) -> NoReturn:
@@ -147,7 +147,7 @@ def router(
         Path | None, typer.Option("--rules", help="File of access rules, made by 'rpod pki rules'.")
     ] = None,
 ) -> None:
-    """Run the bus, a Zenoh router. It keeps the truth from the estimators."""
+    """Run the bus, a Zenoh router. It does not pass the truth to the estimators."""
     from rpod_runtime.bus import router as daemon
     from rpod_schemas.config.service import RouterConfig
 

@@ -29,7 +29,7 @@ class NotReadyError(RunError):
 
 
 class FailedServiceError(RunError):
-    """A service runs and cannot do its work."""
+    """A service runs, but cannot do its work."""
 
     def __init__(self, name: str, log: Path) -> None:
         lines = log.read_text("utf-8", errors="replace").splitlines() if log.is_file() else []

@@ -32,7 +32,7 @@ from rpod_schemas.poses import rotation_matrix
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Result of a verb: what is told, what is printed as JSON, and the file."""
+    """Result of a verb: the lines for the operator, the JSON object, and the file."""
 
     lines: Sequence[str]
     document: dict[str, Any]

@@ -96,7 +96,8 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     else:
         kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
-    bus = driver.bus.model_dump() | {"wait": options.wait}  # a driver waits for its router, a check says so
+    # A driver waits for its router; a check reports that there is none.
+    bus = driver.bus.model_dump() | {"wait": options.wait}
     bus |= {"connect": options.connect} if options.connect else {}
     return driver, check(BusConfig, bus, source="rpod driver check")
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.1
 _SAME_S = 0.5
-"""Time within which a second signal is the first one again: ``timeout`` sends it to the process and, at once,
-to its group. Hand: a person who has seen nothing happen asks again later than that."""
+"""Time within which a second signal counts as the first one, s: ``timeout`` sends a signal to the process
+and, at once, to its group. Hand: an operator who sees no effect sends the second one later than this."""
 
 
 def up_command(path: Path, *, as_json: bool) -> int:

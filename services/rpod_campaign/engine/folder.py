@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -68,7 +68,7 @@ class CampaignFolder:
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
-            _write_whole(file, text.encode())
+            _write_whole(file, lambda path: path.write_bytes(text.encode()))
         elif file.read_text("utf-8") != text:
             raise ForeignFolderError(folder.path, "its manifest.json is of another campaign")
         return folder
@@ -114,7 +114,7 @@ class CampaignFolder:
 
     def write_part(self, name: str, rows: pl.DataFrame) -> None:
         """Store rows as a part with a name; a part with the same name is replaced. Raises OSError."""
-        self._write(self.path / f"part-{name}.parquet", rows)
+        _write_whole(self.path / f"part-{name}.parquet", rows.write_parquet)
 
     def compact(self) -> None:
         """Merge the parts into one file if there are many."""
@@ -125,7 +125,7 @@ class CampaignFolder:
         """Merge all parts into one file and return its rows."""
         parts, rows = self._parts(), self.read()
         if parts:
-            self._write(self.trials_file, rows)
+            _write_whole(self.trials_file, rows.write_parquet)
             for part in (*parts, *self._abandoned()):
                 part.unlink(missing_ok=True)
         return rows
@@ -153,12 +153,6 @@ class CampaignFolder:
                     found.append(file)
         return found
 
-    @staticmethod
-    def _write(file: Path, rows: pl.DataFrame) -> None:
-        temporary = file.with_suffix(f".{os.getpid()}.tmp")
-        rows.write_parquet(temporary)
-        temporary.replace(file)
-
 
 def cell_parameters(cell: Any) -> dict[str, Any]:
     """Return the parameters of a cell as JSON values."""
@@ -166,7 +160,8 @@ def cell_parameters(cell: Any) -> dict[str, Any]:
     return parameters
 
 
-def _write_whole(file: Path, content: bytes) -> None:
+def _write_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Write a file that gets its name only when it is complete."""
     temporary = file.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_bytes(content)
+    write(temporary)
     temporary.replace(file)

@@ -25,7 +25,7 @@ SMALL_SIZES_M = (0.2, 3.0)
 TRIANGLES = (1_000, 200_000)
 """Least and greatest number of triangles; the logarithm is uniform."""
 _STREAM = 2026
-"""First number of the seeds of all satellites, so that no campaign's own numbers are theirs."""
+"""First number in the seeds of all satellites, so that no campaign draws the same random numbers."""
 _KIND_SHARES = (0.3, 0.15, 0.15, 0.2, 0.2)
 _ARRAYS: tuple[equipment.Arrays, ...] = ("none", "one", "two", "asymmetrical")
 _ARRAY_SHARES = (0.15, 0.2, 0.4, 0.25)

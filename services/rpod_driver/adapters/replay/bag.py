@@ -46,7 +46,7 @@ class Bag:
         return found.said
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Yield the frames in their order; tell at the end what was left out."""
+        """Yield the frames in their order; report at the end which were left out."""
         reader = open_reader(self._kind, self._source)
         assembler = assembler_of(self._kind, self._source)
         self._left_out.clear()

@@ -16,7 +16,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class ImageFolder:
-    """A camera whose frames stand in a folder."""
+    """A camera whose frames are in a folder."""
 
     def __init__(self, images: Images) -> None:
         """Find the images. Raises ``RecordingError``."""
