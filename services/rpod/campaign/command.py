@@ -71,7 +71,7 @@ def campaign_command(
     except KeyboardInterrupt:
         return failed(
             "campaign",
-            f"interrupted; {prepared.folder.path} keeps the finished trials; run the same command to go on",
+            f"interrupted; the finished trials are kept in {prepared.folder.path}; repeat it to continue",
             EXIT_INTERRUPTED,
         )
     except TrialFailedError as error:

@@ -21,7 +21,7 @@ from rpod_campaign.engine.errors import ForeignFolderError
 
 MANIFEST = "manifest.json"
 _ABANDONED_S = 600.0
-"""Age from which on a file that is being written is left over from a process that was killed, s."""
+"""Age above which an unfinished file counts as left over from a process that was killed, s."""
 _MOST_PARTS = 256
 """Number of files of rows above which they are merged into one while the campaign runs."""
 _READS = 5
@@ -95,7 +95,7 @@ class CampaignFolder:
         for _ in range(_READS - 1):
             try:
                 return self._read()
-            except FileNotFoundError:  # another run made one file of this and others
+            except FileNotFoundError:  # another run has merged this file with others
                 continue
         return self._read()
 
@@ -109,7 +109,7 @@ class CampaignFolder:
     def add(self, rows: Sequence[Row]) -> None:
         """Store a batch of rows, all of them or none."""
         if rows:
-            name = f"{time.time_ns()}-{os.getpid()}"  # two runs at once do not meet
+            name = f"{time.time_ns()}-{os.getpid()}"  # two runs at the same time use different names
             self.write_part(name, pl.DataFrame(rows, schema=self.schema))
 
     def write_part(self, name: str, rows: pl.DataFrame) -> None:
@@ -145,7 +145,7 @@ class CampaignFolder:
         return sorted(self.path.glob("part-*.parquet"))
 
     def _abandoned(self) -> list[Path]:
-        """Return what processes that were killed have left: written for much longer than a part takes."""
+        """Return the unfinished files of processes that were killed: older than writing a part takes."""
         before_s, found = time.time() - _ABANDONED_S, []
         for file in self.path.glob("part-*.tmp"):
             with suppress(FileNotFoundError):  # it was finished in this moment

@@ -50,7 +50,7 @@ def sections(results: Results) -> list[Section]:
     )
     return [
         *([Section("Right frames", note + told, (_right_table(right),))] if right else []),
-        *([Section("Frames of something else", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
+        *([Section("Frames of other objects", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
     ]
 
 
@@ -69,7 +69,7 @@ def _spoiled_table(results: Results) -> Table:
         for case, judge, s in _judged(results)
     ]
     columns = ("case", "judge", "accepted", "share", "of these alike")
-    return Table("Frames of something else accepted", columns, tuple(rows)).condensed(2)
+    return Table("Accepted frames of other objects", columns, tuple(rows)).condensed(2)
 
 
 def _judged(results: Results) -> list[tuple[str, str, Row]]:
