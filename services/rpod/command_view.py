@@ -35,7 +35,7 @@ def view_log(
         document = {"memory_bytes": _LOG_MEMORY_BYTES} | (read_document(config) if config else {}) | changes
         checked = check(ViewConfig, document, source=config or "rpod view")
         if end_s is not None and end_s <= start_s:
-            raise ConfigurationError("rpod view", "--to", "is not after --from; give a later time")
+            raise ConfigurationError("--to", "", "is not after --from; give a later time")
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
         return failed("view", error)

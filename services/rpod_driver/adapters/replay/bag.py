@@ -90,7 +90,8 @@ class Bag:
             with Reader(self._path) as reader:
                 held = {_key(connection) for connection in reader.connections}
         except (ReaderError, OSError) as error:
-            raise RecordingError(self._path, f"is no rosbag2 or MCAP file ({error})") from error
+            reason = f"is no rosbag2 or MCAP file ({error}); correct device.bag"
+            raise RecordingError(self._path, reason) from error
         needed = self._kind.required | self._kind.lasting
         lacking = [topic for name, topic in self._parts.items() if name in needed]
         lacking = [topic for topic in lacking if (topic.name, topic.type) not in held]
