@@ -20,7 +20,7 @@ from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
 from rpod.logs.verbs import log_verbs
 from rpod.pki.verbs import pki_verbs
-from rpod.reloading import run_reloading
+from rpod.reloading import run_reloading, with_bus
 from rpod.target.verbs import target_verbs
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
@@ -115,10 +115,7 @@ def _serve(
 
     def read() -> ConfigT:
         document = (read_document(config) if config else {}) | (changes or {})
-        configured = document.get("bus") or {}
-        if isinstance(configured, dict):  # otherwise the check below reports the error
-            document["bus"] = configured | {key: value for key, value in bus.items() if value}
-        return check(model, document, source=source)
+        return check(model, with_bus(document, bus), source=source)
 
     try:
         checked = read()

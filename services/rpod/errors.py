@@ -6,6 +6,8 @@ from pathlib import Path
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.errors import ConfigurationError, RpodError
 
+EXIT_INTERRUPTED = 130
+
 
 class RunError(RpodError):
     """Root of the errors that this package raises."""

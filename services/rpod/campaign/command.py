@@ -16,8 +16,7 @@ from rich.table import Table as RichTable
 
 from rpod import __version__
 from rpod.campaign.progress import CampaignProgress
-from rpod.errors import failed
-from rpod.play.command import EXIT_INTERRUPTED
+from rpod.errors import EXIT_INTERRUPTED, failed
 from rpod.scenarios import find as find_scenario
 from rpod.scenarios import shipped
 from rpod_campaign.catalogue import find

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from rpod import __version__
 from rpod.errors import failed
-from rpod.reloading import run_reloading
+from rpod.reloading import run_reloading, with_bus
 from rpod_driver import DriverError, host
 from rpod_driver.registered import Adapter, adapter, adapters
 from rpod_driver.scaffold import ScaffoldError, scaffold
@@ -95,8 +95,4 @@ def faults_command(*, as_json: bool) -> int:
 
 
 def _checked(found: Adapter, file: Path, options: dict[str, Any]) -> DriverConfig:
-    document = read_document(file)
-    bus = document.get("bus") or {}
-    if isinstance(bus, dict):  # otherwise the check below reports the error
-        document["bus"] = bus | {key: value for key, value in options.items() if value}
-    return check(found.config, document, source=file)
+    return check(found.config, with_bus(read_document(file), options), source=file)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from rpod.errors import InterruptedRunError, RunError, failed
+from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed
 from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
@@ -24,8 +24,6 @@ from rpod_target import check_model, load_target
 
 if TYPE_CHECKING:
     from rpod_analysis.report import ReportPaths
-
-EXIT_INTERRUPTED = 130
 
 
 def run_command(
