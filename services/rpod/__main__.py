@@ -21,7 +21,7 @@ from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
 from rpod.logs.verbs import log_verbs
 from rpod.pki.verbs import pki_verbs
-from rpod.reloading import run_reloading
+from rpod.reloading import run_reloading, with_bus
 from rpod.target.verbs import target_verbs
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
@@ -29,7 +29,7 @@ from rpod_schemas.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT", bound=BaseModel)
 _FIRST_VERBS = ("run", "scenarios", "report", "view", "replay", "target", "campaign", "calibrate", "driver")
-"""The verbs of the first day; the help lists them before the others."""
+"""The verbs that a new user needs; the help lists them before the others."""
 
 
 class _VerbGroup(TyperGroup):
@@ -71,7 +71,7 @@ def main() -> None:
         print(f"rpod: this verb needs {error.name}: pip install 'rpod[all]'", file=sys.stderr)
         sys.exit(EXIT_FAILURE)
     finally:
-        gc.freeze()  # or the interpreter looks at every object of every library at its end, up to 0.7 s
+        gc.freeze()  # else the interpreter examines all objects of all libraries at its end, for up to 0.7 s
 
 
 def _refuse(error: ConfigurationError) -> NoReturn:
@@ -118,10 +118,7 @@ def _serve(
 
     def read() -> ConfigT:
         document = (read_document(config) if config else {}) | (changes or {})
-        configured = document.get("bus") or {}
-        if isinstance(configured, dict):  # otherwise the check below reports the error
-            document["bus"] = configured | {key: value for key, value in bus.items() if value}
-        return check(model, document, source=source)
+        return check(model, with_bus(document, bus), source=source)
 
     try:
         checked = read()
@@ -150,7 +147,7 @@ def router(
         Path | None, typer.Option("--rules", help="File of access rules, made by 'rpod pki rules'.")
     ] = None,
 ) -> None:
-    """Run the bus, a Zenoh router. It keeps the truth from the estimators."""
+    """Run the bus, a Zenoh router. It does not pass the truth to the estimators."""
     from rpod_runtime.bus import router as daemon
     from rpod_schemas.config.service import RouterConfig
 

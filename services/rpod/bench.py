@@ -53,7 +53,7 @@ _BUS_FRAMES = 135
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: median, quartiles, and the share of a core that is used, at its rate or while it runs."""
+    """One figure: median, quartiles, and the share of a core that it needs, at its rate or while it runs."""
 
     name: str
     unit: str

@@ -14,10 +14,10 @@ from rpod_target import load_target
 
 _TARGET = "mockup"
 _SAY_S = 30.0
-"""Time after which the user is told that it still compiles, s."""
+"""Interval at which the user is told what still compiles, s."""
 _FRAMES = 12
-"""Frames on which each method is tried: the first pose, and what follows only from a pose. Methods that are
-no default get a third of them, and ``epnp`` uses only frames that show the nose."""
+"""Number of frames on which each default method runs, so that the code for a first pose and the code that
+needs a pose both run. Other methods get a third of them, and ``epnp`` uses only frames that show the nose."""
 
 
 def compile_command() -> int:

@@ -1,17 +1,17 @@
 """``rpod view`` of a log, from its arguments to its exit code."""
 
 import logging
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 from typing import Any
 
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_runtime.process.lifecycle import run as run_service
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.config.facility.view import ViewConfig
@@ -35,11 +35,10 @@ def view_log(
         document = {"memory_bytes": _LOG_MEMORY_BYTES} | (read_document(config) if config else {}) | changes
         checked = check(ViewConfig, document, source=config or "rpod view")
         if end_s is not None and end_s <= start_s:
-            raise ConfigurationError("rpod view", "--to", "is not after --from; give a later time")
+            raise ConfigurationError("--to", "", "is not after --from; give a later time")
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
-        print(f"rpod view: {error}", file=sys.stderr)
-        return EXIT_USAGE if isinstance(error, ConfigurationError) else EXIT_FAILURE
+        return failed("view", error)
     outcome = EXIT_OK
 
     def serve(stop: Event) -> None:

@@ -1,8 +1,12 @@
-"""The errors of the command line and the supervisor."""
+"""The errors of the command line and the supervisor, and how a verb reports an error."""
 
+import sys
 from pathlib import Path
 
-from rpod_schemas.errors import RpodError
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
+from rpod_schemas.errors import ConfigurationError, RpodError
+
+EXIT_INTERRUPTED = 130
 
 
 class RunError(RpodError):
@@ -27,7 +31,7 @@ class NotReadyError(RunError):
 
 
 class FailedServiceError(RunError):
-    """A service runs and cannot do its work."""
+    """A service runs, but cannot do its work."""
 
     def __init__(self, name: str, log: Path) -> None:
         lines = log.read_text("utf-8", errors="replace").splitlines() if log.is_file() else []
@@ -48,3 +52,17 @@ class AlreadyUpError(RunError):
         super().__init__(
             f"the facility is up already: {who} holds {folder}; 'rpod ps' shows it, 'rpod down' ends it"
         )
+
+
+def failed(verb: str, reason: Exception | str, code: int | None = None) -> int:
+    """Print the reason on standard error; return the exit code.
+
+    Args:
+        verb: the verb that failed, such as ``target new``.
+        reason: why it failed, in one line.
+        code: exit code; by default that of a wrong configuration or that of any other failure, by the reason.
+    """
+    print(f"rpod {verb}: {reason}", file=sys.stderr)
+    if code is not None:
+        return code
+    return EXIT_USAGE if isinstance(reason, ConfigurationError) else EXIT_FAILURE

@@ -17,8 +17,8 @@ NoLimits = Annotated[
     typer.Option(
         "--no-limits",
         callback=_lift,
-        help="Read files also that announce more bytes or channels than the limits allow; for files "
-        "that you trust.",
+        help="Also read files that announce more bytes or channels than the limits allow. Use it only "
+        "for files that you trust.",
     ),
 ]
 """Lifts the limits of ``rpod_analysis.log.limits`` while the verb runs."""

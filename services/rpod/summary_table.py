@@ -7,7 +7,7 @@ from rpod_analysis.scoring.run_checks import MAX_DROPPED_SHARE, dropped_share
 from rpod_schemas.summary import ErrorSummary, Handover, Summary
 
 _MANY = 0.1
-"""Unused frames of a sensor, over the used ones, from which on their reason is printed."""
+"""Ratio of a sensor's unused frames to its used ones above which the reason is printed."""
 
 
 def print_summary(summary: Summary, console: Console, *, name: str = "") -> None:

@@ -119,7 +119,7 @@ class FramesDifferError(AnalysisError):
 
 
 class CalibrationError(AnalysisError):
-    """What is to be calibrated cannot be determined from the logs."""
+    """The logs do not determine a calibration."""
 
 
 class NoFramesError(CalibrationError):

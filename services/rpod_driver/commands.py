@@ -54,7 +54,7 @@ class Commands:
             self._offer(dict(self._driver.settings()))
 
     def serve(self, *, got_frame: bool) -> None:
-        """Answer what was asked, and judge the triggers; called by the host between two items."""
+        """Answer the requests, and check the triggers; called by the host between two items."""
         if got_frame and self._triggers_s:
             self._triggers_s.popleft()
         while self._triggers_s and time.monotonic() - self._triggers_s[0] > self._timeout_s:

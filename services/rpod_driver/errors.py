@@ -49,7 +49,7 @@ class ForeignDriverError(DriverError):
 
 
 class NotSupportedError(DriverError):
-    """A driver is asked for what it does not have."""
+    """A driver does not support a request."""
 
     def __init__(self, sensor: str, what: str, methods: str) -> None:
         super().__init__(f"the driver of {sensor!r} has no {what}: it needs the methods {methods}")

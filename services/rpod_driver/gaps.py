@@ -1,4 +1,4 @@
-"""Frames that a device counted and that did not come."""
+"""Frames that a device counted but that did not arrive."""
 
 
 class GapCounter:

@@ -140,7 +140,7 @@ class Host:
         before, self._trouble = self._trouble, told_of(error)
         self._node.health.count(f"failures/{self._config.name}")
         self._node.health.report(Health.ERROR, self._trouble)
-        # Of an error that nobody expects, the place in the code is told once.
+        # For an unexpected error, the place in the code is logged once.
         expected = isinstance(error, OSError | DriverError) or self._trouble == before
         log.error("%s; connecting again in %g s", self._trouble, self._retry_s, exc_info=not expected)
         self._node.stop.wait(self._retry_s)
@@ -163,7 +163,7 @@ class Host:
         return Health.OK, f"{self._rate_hz():.1f} Hz, last frame {age_s:.2f} s ago"
 
     def _report_state(self) -> None:
-        """Tell what the driver knows of its sensor's time and of lost frames."""
+        """Report what the driver knows of its sensor's time and of lost frames."""
         name, missed = self._config.name, self._commands.trigger_missed
         sync = self._driver.sync() if isinstance(self._driver, Synchronised) else SensorSync()
         if missed:

@@ -1,4 +1,4 @@
-"""Writes the package of a new driver from a template: it runs before anything is changed."""
+"""Writes the package of a new driver from a template; the package runs before anything in it is changed."""
 
 import re
 from importlib.resources import files

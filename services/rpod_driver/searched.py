@@ -1,4 +1,4 @@
-"""The line that searches the target in frames, as they are and under the mistakes of a first day.
+"""The line that searches the target in frames, as they are and under the usual first mistakes.
 
 A mirrored image, another unit of length and the lens of another mode leave frames that look right. Only the
 target's own shape shows them: the search finds it in most frames under the right assumption, and in few under
@@ -24,11 +24,12 @@ from rpod_target import Target
 _LINE = "target"
 _FRAMES = 8
 _NEEDED = 4
-"""Number of frames that one assumption must explain and the other not: by chance once in 16."""
+"""Number of frames that one assumption must explain and the other must not: by chance, once in 16 cases."""
 _ENOUGH = 3
-"""Number of first frames after which no further ones are searched as they are, if none shows the target."""
+"""Number of first frames after which the search of frames as they are ends, if none shows the target."""
 _SHOWN = 0.7
-"""Width of a body in a view, over its diameter, by which units are ordered: likely ones are tried first."""
+"""Width of a body in a view over its diameter. Units are tried in the order of how well they give this
+width."""
 _TIME_S = 180.0
 """Time after which no further assumption is tried, s; a search in a frame of another unit takes seconds."""
 _INPUTS = {"pmd": PmdInput, "lidar": LidarInput}
@@ -36,7 +37,7 @@ _INPUTS = {"pmd": PmdInput, "lidar": LidarInput}
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake of a driver, and what undoes it."""
+    """A mistake of a driver, and the function that undoes it."""
 
     fault: str
     """Name in the catalogue."""
@@ -45,7 +46,7 @@ class Mistake:
 
 
 def mirrored(frame: LidarScan | PmdFrame) -> LidarScan | PmdFrame:
-    """Return a frame with left and right exchanged; with exchanged rows it differs by half a turn only."""
+    """Return a frame with left and right exchanged; reversed rows differ from it by a half turn only."""
     if isinstance(frame, LidarScan):
         points_m = frame.points_m * np.array([-1.0, 1.0, 1.0], np.float32)
         parts = {"points_m": points_m, "intensity": frame.intensity, "time_s": frame.time_s}

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 _NANOSECONDS = 1_000_000_000
 _UTC_WITHIN_NS = 86_400 * _NANOSECONDS
-"""Farthest that a clock of UTC or TAI is from this machine's; a count from power-up is decades away."""
+"""Greatest offset of a clock of UTC or TAI from this machine's; a count from power-up is decades away."""
 _WINDOW_NS = 10 * _NANOSECONDS
 """Time over which the least delay is sought: crystals of 100 ppm drift by 1 ms in it."""
 
@@ -43,7 +43,7 @@ class StampConfig(Config):
 
 
 class StampMapper:
-    """Turns the stamps of one connection's frames into UTC, and tells once how it does so."""
+    """Converts the stamps of one connection's frames to UTC, and logs once how."""
 
     def __init__(self, sensor: str, config: StampConfig, now_ns: Callable[[], int] = time.time_ns) -> None:
         self._sensor, self._config, self._now_ns = sensor, config, now_ns

@@ -240,7 +240,7 @@ class Emulator:
         except TruthGapError as error:
             self._node.health.count(f"truth_gap/{frame.sensor}")
             self._node.health.report(
-                Health.WARN, "frames are left out where the truth has gaps; is rpod_motion too slow?"
+                Health.WARN, "frames are left out where the truth has gaps; check whether motion is too slow"
             )
             if not self._in_gap:
                 log.warning("no frame %d of %s: %s", frame.number, frame.sensor, error)

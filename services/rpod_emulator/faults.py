@@ -43,7 +43,7 @@ class Window:
     """Size in the catalogue's unit; None if it has none, or if it is drawn."""
 
     def injected(self, epoch_ns: int) -> InjectedFault:
-        """Return it as the bus tells it; one that was there from the start began with the scenario."""
+        """Return the fault as the bus reports it; one that exists from the start begins with the scenario."""
         return InjectedFault(
             fault=self.fault.name,
             where=self.sensor or "",
@@ -77,7 +77,7 @@ class Faults:
         return self
 
     def begin(self, config: EmulatorConfig, epoch_ns: int | None) -> None:
-        """Plan the configured faults of a scenario from its epoch; without one, those of the start."""
+        """Plan the configured faults from the scenario's epoch; without one, those of the start only."""
         self._planned = []
         for planned in config.faults:
             if planned.start_s and epoch_ns is None:

@@ -48,5 +48,5 @@ def rehearse(config: EmulatorConfig, target: Target) -> None:
     for sensor in config.sensors:
         with suppress(
             AttributeError
-        ):  # a sensor kind of somebody else that needs more of a node is warmed later
+        ):  # a sensor kind of another package that needs more of a node is warmed up later
             open_channel(cast(Node, _OffBus()), config, sensor, still)

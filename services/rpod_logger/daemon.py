@@ -96,7 +96,8 @@ class _Readiness:
     def begin(self) -> None:
         """Try to open the first log."""
         self._next_s = time.monotonic() + _RETRY_S
-        with suppress(CannotWriteError, AlreadyRecordingError):  # told by ``update``; a query was quicker
+        # ``update`` reports a failure; a log that is open already was opened by a query.
+        with suppress(CannotWriteError, AlreadyRecordingError):
             self._recorder.start(again=BY_ITSELF)
 
     def update(self) -> None:

@@ -24,17 +24,19 @@ from rpod_schemas.topics import DIAGNOSTICS, Topic
 from rpod_schemas.types import CLOSING, PUBLISHED
 
 GRACE_S = 1.0
-"""Time, s, after which a message that has not arrived does not come any more; only the time counts in which
-this process was awake. Publishers stay open for 0.3 s after their last message and tell its number each
-0.2 s, so that it is asked for again."""
+"""Time, s, after which a message that has not arrived counts as lost; only the time counts in which this
+process was awake. Publishers stay open for 0.3 s after their last message and tell its number each 0.2 s, so
+that a receiver without it can ask for it."""
 RETURN_S = 10.0
 """Time after an outage in which publishers come back, s, counted as the grace is: Zenoh tries at least each
 4 s."""
 _JUDGEMENT_S = 0.5
 """Longest time between two decisions, of which there are four a second, unless this process stands still, s.
-Messages that came while it did are not handled yet, so that they have at least half the grace left."""
+Messages that arrived while it stood still are not handled yet, and have at least half of the grace left for
+this."""
 _OUTAGE_S = 1.0
-"""Largest time between the end of a token and that of the link by which both ended."""
+"""Largest time between the end of a token and the loss of the link for which the link is taken as the cause,
+s."""
 _MOST_SESSIONS, _MOST_TOPICS, _MOST_GIDS, _MOST_NOTES = 1000, 1000, 64, 100
 _NS = 1e-9
 
@@ -77,7 +79,7 @@ class _Session:
     arrived: dict[str, dict[bytes, int]] = field(default_factory=dict)
     """Last number that arrived, by topic and gid."""
     topics: set[str] = field(default_factory=set)
-    """Topics that it has, or had, a publisher of, and that are recorded."""
+    """Recorded topics of which it has, or had, a publisher."""
     left: dict[str, _Gone] = field(default_factory=dict)
     """Time at which the publisher of a topic was gone."""
     told: dict[str, int] = field(default_factory=dict)
@@ -279,7 +281,7 @@ class PublisherEnds:
             self._reasons.append(reason)
 
     def take(self, since_ns: int) -> Endings:
-        """Return what is to be said of a file that was opened at a stamp, and forget it."""
+        """Return the records for a file that was opened at a stamp, and forget them."""
         outages = self._link.outages(since_ns)
         with self._lock:
             reasons = [f"the bus was lost: {outage}" for outage in outages] + self._reasons

@@ -61,7 +61,7 @@ class Recorder:
         account: SequenceAccount,
         endings: Callable[[int], Endings] = lambda _: Endings(),
     ) -> None:
-        """Prepare; ``endings`` returns what is to be said of a file opened at a stamp, and is called once."""
+        """Prepare; ``endings`` returns, once, what ended while a file opened at a stamp was recorded."""
         self._config, self._version, self._endings = config, version, endings
         self._health, self._account = health, account
         self._backlog = Backlog(config.queue_bytes)
@@ -110,7 +110,7 @@ class Recorder:
     def start(self, name: str | None = None, *, again: str = BY_QUERY) -> LogReply:
         """Open a log, under the last name if none is given. Raises ``LoggerError``.
 
-        ``again`` is what begins a recording after this one could not begin, for the operator.
+        ``again`` tells the operator what begins the next recording if this one cannot begin.
         """
         return self._do(lambda received: self._open(name, received, again=again))
 
@@ -293,7 +293,7 @@ class Recorder:
             raise self._fail(failure) from error
         self._stem, self._failure = stem, None
         if continues is None:
-            self._endings(time.time_ns())  # what ended before is no matter of this file
+            self._endings(time.time_ns())  # publishers that ended before do not concern this file
         recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
         self._attempt(lambda recording: recording.repeat(self._latched.values()))

@@ -1,4 +1,4 @@
-"""Poses of known bodies, such as the links of a robot's arm: published in the place of the robot."""
+"""Poses of known bodies, such as the links of a robot's arm, published in place of the robot."""
 
 from collections.abc import Mapping
 

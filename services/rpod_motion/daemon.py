@@ -37,7 +37,7 @@ _LONGEST_TAIL_S = 0.9
 
 _LONGEST_WAIT_S = 1.0
 _OVERDUE_S = 1.0
-"""Longest time of truth that is made up for after a late start; receivers keep 2 s or more of it."""
+"""Longest span of truth that is published at once after a late start; receivers keep 2 s or more of it."""
 
 
 def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:

@@ -21,9 +21,9 @@ _DIFFERENCE_S = 0.02
 class Imu:
     """Measures a motion with noise and bias; the biases are drawn once.
 
-    Where the trajectory has an orbit, the chaser flies freely and its specific force is 0. Without one there
-    is no gravity either: what the target's centre of mass is accelerated by, as seen from the chaser, is the
-    chaser's thrust in the opposite direction; and the orbital frame is the epoch axes.
+    Where the trajectory has an orbit, the chaser flies freely and its specific force is 0. Without an orbit
+    there is no gravity: the acceleration of the target's centre of mass, as seen from the chaser, is caused
+    by the chaser's thrust and has the opposite direction; and the orbital frame is the epoch axes.
 
     Args:
         config: noise and biases.

@@ -31,7 +31,7 @@ A tick that is computed alone, after the processor has done other work, takes th
 
 
 class _Made(NamedTuple):
-    """Messages of a tick."""
+    """Messages of one tick."""
 
     truth: bytearray
     """The motion as it is known, with its error."""

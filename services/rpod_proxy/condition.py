@@ -1,4 +1,4 @@
-"""The condition of a link at a time: what the faults that hold make of it."""
+"""The condition of a link at a time, which follows from the faults that are active."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Condition:
     rate_B_s: float | None = None
     """Largest number of bytes a second, in each direction; None for no limit."""
     stalled: bool = False
-    """Whether nothing moves; nothing is lost."""
+    """Whether the link stands still; nothing is lost."""
     dead: bool = False
     """Whether all that is sent is lost, without a word to either side."""
     cut: bool = False

@@ -38,7 +38,7 @@ class Plan:
             )
 
     def begun(self, now_ns: int) -> list[InjectedFault]:
-        """Return the faults that hold now, in the order of their beginning."""
+        """Return the faults that are active now, in the order of their beginning."""
         with self._lock:
             faults = [each for each in self._faults if each.begin_ns <= now_ns < (each.end_ns or 0)]
         return sorted(faults, key=lambda fault: fault.begin_ns)

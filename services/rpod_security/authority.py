@@ -37,7 +37,7 @@ class Entry(Config):
     role: str
     """Role by which the access rules are made."""
     generation: int = 1
-    """One more after each revocation."""
+    """Generation of the name: one more after each revocation."""
     serial: str
     """Serial number of the newest certificate, hexadecimal digits."""
     ends: AwareDatetime

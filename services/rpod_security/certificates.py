@@ -33,7 +33,7 @@ class Identity:
     role: str
     """Role, by which the access rules are made."""
     generation: int = 1
-    """Number of the certificate's line: one more after each revocation of the name."""
+    """Generation of the name: one more after each revocation."""
 
     @property
     def common_name(self) -> str:

@@ -79,7 +79,10 @@ class Signatory:
         try:
             issuer = x509.load_pem_x509_certificate(authority.read_bytes())
         except (OSError, ValueError) as error:
-            raise ChainError(authority, f"is no certificate of an authority ({error})") from error
+            raise ChainError(
+                authority,
+                f"is no certificate of an authority ({error}); give authority.pem of any credentials",
+            ) from error
         try:
             self._certificate.verify_directly_issued_by(issuer)
         except (ValueError, TypeError, InvalidSignature):

@@ -123,7 +123,7 @@ class Rules:
         return [*self._publishing(member), *self._reading(member), *self._control(member)]
 
     def _found_by(self, member: Member) -> list[Grant]:
-        """Return what a router tells the router of a member: where the member's questions are answered."""
+        """Return what a router may tell the router of a member: the queryables that answer the member."""
         served = [
             self._keys.control(other.name, verb, ANY)
             for other in self.members
@@ -161,7 +161,7 @@ class Rules:
         ]
 
     def _control(self, member: Member) -> list[Grant]:
-        """Return the rules of control plane and ROS services; keys end with the name of who asks."""
+        """Return the rules of control plane and ROS services; keys end with the name of the client."""
         served = [self._keys.control(member.name, verb, ANY) for verb in member.serves]
         asked = [
             self._keys.control(other.name, verb, member.name)

@@ -183,7 +183,7 @@ class Drawing:
     def _uncertainty(
         self, truth: RigidTransform | None, estimate: RigidTransform, covariance_m2: FloatArray
     ) -> None:
-        """Draw the ellipsoid at its place, and again enlarged to a longest half axis of 1, with the truth."""
+        """Draw the ellipsoid at its place, and enlarged to a longest half axis of 1, there with the truth."""
         half_m, quaternion = ellipsoid(covariance_m2)
         longest_m = max(float(half_m[-1]), 1e-6)
         end = rr.Points3D(

@@ -92,7 +92,7 @@ class Scene:
         self.status: EstimatorStatus | None = None
         """The last status."""
         self.integrity: Integrity | None = None
-        """The last integrity; None from an estimator that tells none."""
+        """The last integrity; None from an estimator that publishes none."""
         self.troubles: dict[str, Diagnostic] = {}
         """Last diagnostic of each service whose level is not OK."""
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name

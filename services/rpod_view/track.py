@@ -11,7 +11,7 @@ from rpod_schemas.rmw.cdr import NANOSECONDS
 _BASE_NS = 100_000_000
 """Time span from which the velocity for a prediction is computed; long enough not to amplify noise."""
 _AGAIN_NS = 1_000_000_000
-"""Time by which a stamp must be before the last one to belong to a new run."""
+"""Time by which a stamp must precede the last one to start a new run."""
 
 
 class Track:

@@ -20,7 +20,7 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Float32Array
 
 ROUNDING = 1e-6
-"""Part of the sizes by which boxes are wider than necessary."""
+"""Share of its size by which a box is wider than necessary, against rounding."""
 
 
 class NearPoses(NamedTuple):
@@ -31,9 +31,9 @@ class NearPoses(NamedTuple):
     t: FloatArray
     """Position of the target in the sensor in the middle, shape (3,), m."""
     apart_m: float
-    """Greatest shift from it."""
+    """Greatest distance of a pose's position from it."""
     turn_rad: float
-    """Greatest turn from it."""
+    """Greatest angle between a pose's attitude and it."""
 
 
 class NearTriangles(NamedTuple):
@@ -45,7 +45,7 @@ class NearTriangles(NamedTuple):
     place: NDArray[np.int32]
     """Index of each triangle in the tree's order, shape (N,)."""
     entry_m: FloatArray
-    """Range before which the ray does not meet it, ascending for each ray, shape (N,)."""
+    """Range before which the ray cannot meet the triangle, ascending for each ray, shape (N,)."""
 
 
 @kernel

@@ -1,9 +1,9 @@
 """Casts single rays at a mesh through a tree of boxes, in a time that hardly depends on the mesh's size.
 
-``rays`` looks at all triangles for each image. That is the fastest for cameras, which have more rays than a
+``rays`` looks at all triangles for each image. That is fastest for cameras, which have more rays than a
 target has triangles. A scanning LIDAR has a few hundred rays on the target. For these, and for rays between
-those of a grid, a binary tree of axis-aligned boxes is faster. It is split by the surface area heuristic
-(I. Wald, On fast Construction of SAH-based Bounding Volume Hierarchies, IEEE Symposium on Interactive Ray
+those of a grid, a binary tree of axis-aligned boxes is faster. It is split by the surface area heuristic (I.
+Wald, On fast Construction of SAH-based Bounding Volume Hierarchies, IEEE Symposium on Interactive Ray
 Tracing, 2007). Triangles are met as by T. Moeller and B. Trumbore (Fast, Minimum Storage Ray-Triangle
 Intersection, Journal of Graphics Tools 2(1), 1997).
 """
@@ -44,7 +44,7 @@ class RayTree(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray in target axes, made by ``ray``; of numbers alone, which a processor keeps in its registers."""
+    """A ray in target axes, made by ``ray``; it holds only numbers, which a processor keeps in registers."""
 
     from_x: float
     from_y: float

@@ -314,7 +314,7 @@ def slopes_ahead(a: float, a_z: float, b: float, b_z: float) -> tuple[float, flo
 
 @kernel
 def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle: NDArray[np.int32]) -> None:
-    """Assign to a triangle the rays for which it is the nearest so far; without branches, to be vectorised.
+    """Assign to a triangle the rays for which it is the nearest so far, without branches, for vectorisation.
 
     Args:
         rays: ``GridArrays.components``, shape (3, rows, columns).

@@ -13,7 +13,7 @@ from rpod_target import Target
 _PIECES = 12
 """Number of pieces of an edge; each is hidden or visible as a whole."""
 _SLACK_M = 0.02
-"""Least distance in front of an edge from which a surface hides it, since the edge lies on its own faces."""
+"""Least distance between a surface and an edge behind it that it hides: an edge lies on its own faces."""
 
 
 def visible_pieces(target: Target, T_sensor_target: RigidTransform) -> FloatArray:

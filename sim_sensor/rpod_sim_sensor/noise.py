@@ -1,4 +1,4 @@
-"""Noise that depends only on seed, sensor and frame: it is the same in whatever order frames are made."""
+"""Noise that depends only on seed, sensor and frame number, so the order of the frames does not change it."""
 
 import zlib
 

@@ -30,7 +30,7 @@ class MeshOfSurroundingsError(SimSensorError):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """The target with all that moves with it, and all that stands still before the sensor."""
+    """The target with the things that move with it, and the things that stand still before the sensor."""
 
     moving: Target
     """The target; its surface includes the things that are fixed to it."""
@@ -43,7 +43,7 @@ class Scenery:
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing is seen from behind, so that such triangles may be left out."""
+        """Whether no triangle is seen from behind, so that triangles that face away may be left out."""
         return self.moving.field is not None
 
 

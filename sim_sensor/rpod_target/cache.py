@@ -37,9 +37,9 @@ def _digest(arrays: Mapping[str, Array]) -> str:
 
 
 def read(file: Path) -> dict[str, Array] | None:
-    """Return the sealed arrays of a file; None if it is missing, damaged, or not as it was built.
+    """Return the sealed arrays of a file; None if it is missing, damaged, or changed after it was built.
 
-    Of one that is not as it was built a ``UserWarning`` tells.
+    A ``UserWarning`` names a file that was changed.
     """
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:

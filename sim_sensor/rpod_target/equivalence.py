@@ -1,8 +1,8 @@
 """Attitudes of a target that no measurement distinguishes, and errors modulo these.
 
 An exact symmetry makes turned attitudes equivalent. Where every turn about an axis is a symmetry, the angle
-about this axis is free: it is a convention, nothing is known of it, and no angle about it is an error. Two
-such axes make a sphere, whose attitude is free altogether.
+about this axis is free: no measurement determines it, and no value of it is an error. Two such axes make a
+sphere, whose whole attitude is free.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,8 @@ from rpod_schemas.arrays import FloatArray
 FREE_SIGMA_RAD = pi / sqrt(3.0)
 """Standard deviation of an angle that is uniform over a turn: 104 deg."""
 _SAME = 0.02
-"""Greatest difference between components of two turns, or directions, that are one; files round axes."""
+"""Greatest difference between the components of two turns, or directions, that count as equal; files round
+axes."""
 _MOST = 60
 """Greatest number of turns: the largest finite group without an axis of a high order, an icosahedron's."""
 _ROUND = 24
@@ -102,7 +103,7 @@ class Equivalence:
         return most
 
     def nearest(self, attitudes: Rotation, found: Rotation) -> Rotation:
-        """Return the attitudes nearest to found ones, among those equivalent to given ones; one or N each."""
+        """Return those of the attitudes equivalent to given ones that are nearest to found ones; one or N."""
         if len(self.free_axes) == 3:
             return found
         if len(self.turns) > 1:
@@ -116,7 +117,7 @@ class Equivalence:
         return self._turned_onto(attitudes, found)
 
     def nearest_pose(self, pose: RigidTransform, found: RigidTransform) -> RigidTransform:
-        """Return the pose nearest to a found one, among those equivalent to a given one."""
+        """Return, among the poses equivalent to a given one, the one nearest to a found one."""
         rotation = self.nearest(pose.rotation, found.rotation)
         return RigidTransform.from_components(pose.translation, rotation)
 

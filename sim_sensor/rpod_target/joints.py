@@ -20,7 +20,7 @@ from rpod_target.target import DistanceField, Target
 
 
 def posed(target: Target, angles_rad: Mapping[str, float]) -> Target:
-    """Return the rigid target that a jointed one is at given angles; a target without joints as it is.
+    """Return a jointed target at given angles as a rigid target; a target without joints is unchanged.
 
     Centre of mass and inertia stay those of the file.
 
@@ -60,7 +60,7 @@ class _Piece:
 
     def distance_m(self, points_m: FloatArray) -> NDArray[np.float32]:
         """Return the distances of points from the piece, target axes, shape (N, 3), m."""
-        return sampled(self.piece.require_field(), self.motion.inv().apply(points_m))
+        return sampled(self.piece.require_field(), self.motion.inv().apply(points_m)).astype(np.float32)
 
     def points(self, points_m: FloatArray) -> FloatArray:
         """Return points of the piece, shape (..., 3), at its place."""
@@ -124,7 +124,7 @@ def _outside(points_m: FloatArray, pieces: Sequence[_Piece]) -> NDArray[np.bool_
 def _least(pieces: Sequence[_Piece]) -> DistanceField:
     """Return the field of the least distances from pieces, on the grid of the first one, which is extended.
 
-    A piece counts around its own grid; farther off, only the first one does.
+    A piece counts within the block around its own grid; elsewhere only the first piece counts.
     """
     field = pieces[0].piece.require_field()
     spacing_m, shape = field.spacing_m, np.array(field.values.shape)
@@ -142,7 +142,7 @@ def _least(pieces: Sequence[_Piece]) -> DistanceField:
 
 
 def _cells(each: _Piece, field: DistanceField) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first nodes of a field around a piece's own field along each axis, and the ends behind."""
+    """Return the nodes of a field around a piece's own field: the first along each axis, and the ends."""
     corners = (each.points(_corners_m(each.piece.require_field())) - field.origin_m) / field.spacing_m
     return np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
 
@@ -154,11 +154,11 @@ def _corners_m(field: DistanceField) -> FloatArray:
     return corners
 
 
-def sampled(field: DistanceField, points_m: FloatArray) -> NDArray[np.float32]:
+def sampled(field: DistanceField, points_m: FloatArray) -> FloatArray:
     """Return the distances in a field at points, (N, 3), shape (N,), m.
 
     They are trilinear inside the grid. Outside they are the distance at the grid's border plus the way there,
-    which is at least the distance.
+    which is at least the distance from the surface.
     """
     from scipy.ndimage import map_coordinates  # noqa: PLC0415 - few of all processes sample a field
 
@@ -166,5 +166,5 @@ def sampled(field: DistanceField, points_m: FloatArray) -> NDArray[np.float32]:
     inside = np.clip(cells, 0.0, np.array(field.values.shape) - 1.0)
     way_m = field.spacing_m * np.linalg.norm(cells - inside, axis=1)
     found = map_coordinates(field.values, inside.T, order=1, mode="nearest")
-    distance_m: NDArray[np.float32] = (found + way_m).astype(np.float32)
+    distance_m: FloatArray = found + way_m
     return distance_m

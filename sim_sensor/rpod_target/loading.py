@@ -29,7 +29,7 @@ RANDOM = "random-"
 """Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
 _BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 6, 1
-"""Version of the builder, without and with mesh files, and of the variations, to be increased when the same
+"""Versions of the builder without and with mesh files, and of the variations. Increase one when the same
 parameters give other arrays."""
 
 
@@ -83,7 +83,7 @@ def load_target(
     left_out = () if variation is None else variation.without
     unreliable = tuple(part.name for part in parameters.parts if part.unreliable)
     if parameters.joints and variation is not None and (variation.bent or variation.missing):
-        raise TargetError(source, "joints", "a target with joints can be neither @bent nor @missing an end")
+        raise TargetError(source, "joints", "a target with joints takes neither @bent nor @missing; omit it")
     target = with_joints(left_out)
     return replace(target, reliable=with_joints(left_out + unreliable)) if unreliable else target
 
@@ -120,7 +120,7 @@ def _with_joints(
         return loaded(without + tuple(name for name, other in joint_of.items() if other != joint))
 
     if None not in joint_of.values():
-        raise TargetError(source, "parts", "only parts of joints are left; keep one that is fixed")
+        raise TargetError(source, "parts", "only parts that turn about joints are left; keep one fixed part")
     joints = []
     for name in names:
         joint = parameters.joints[name]

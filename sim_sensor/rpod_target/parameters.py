@@ -281,8 +281,8 @@ class TargetParameters(Config):
     estimator publishes their poses."""
     tolerance_m: NonNegative = 0.0
     """How far places of the surface may be off from the real target, one standard deviation of each
-    coordinate; places of one part within 0.4 of the longest side count as off alike. The covariances
-    contain it."""
+    coordinate. Places of one part within 0.4 of the longest side count as having the same offset. The
+    covariances contain it."""
     scale_tolerance: Share = 0.0
     """Share by which the real target may be larger or smaller as a whole, one standard deviation."""
     joints: dict[FrameName, JointParameters] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Whether a model and the target that it stands for share their axes; without, no error has a meaning."""
+"""Check that a model has the axes of the target that it stands for; otherwise errors have no meaning."""
 
 from itertools import permutations, product
 
@@ -7,11 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.errors import TargetError
+from rpod_target.joints import sampled
 from rpod_target.target import Target
 
 _FAR, _BETTER = 0.01, 0.5
-"""Distance of a model's surface from the target's, over the longest side, from which axes may differ; and
-the share of it that other axes must leave to be the right ones."""
+"""Distance of a model's surface from the target's, over the longest side, above which the axes may differ;
+and the share of this distance below which other axes are the right ones."""
 _ALIKE = 1e-3
 """Difference of two such distances, over the longest side, below which the smaller turn is reported."""
 _STEPS = 20
@@ -21,9 +22,8 @@ _STEPS = 20
 def check_model(truth: Target, model: Target) -> None:
     """Check that a model of a target has the target's axes.
 
-    The model's points are held against the target's distance field, in the axes given and in those that
-    quarter turns and a shift make of them. A model of another shape is no error, since no other axes are much
-    better then.
+    The model's points are compared with the target's distance field, in the given axes and after quarter
+    turns with a shift. A model of another shape is no error, since no other axes are much better then.
 
     Raises:
         TargetError: other axes fit the model to the target much better; the text names them.
@@ -57,19 +57,7 @@ def check_model(truth: Target, model: Target) -> None:
 
 def _distance_m(truth: Target, points_m: FloatArray) -> float:
     """Return the mean distance of points, (N, 3), from the target's surface, m."""
-    return float(np.abs(_signed_m(truth, points_m)).mean())
-
-
-def _signed_m(truth: Target, points_m: FloatArray) -> FloatArray:
-    """Return signed distances, (N,), m; outside of the grid, those at its rim and the distance to it."""
-    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - few of all processes sample a field
-
-    field = truth.require_field()
-    nodes = (points_m - field.origin_m) / field.spacing_m
-    inside = nodes.clip(0.0, np.array(field.values.shape) - 1.0)
-    outside_m = field.spacing_m * np.linalg.norm(nodes - inside, axis=1)
-    signed_m: FloatArray = map_coordinates(field.values, inside.T, order=1) + outside_m
-    return signed_m
+    return float(np.abs(sampled(truth.require_field(), points_m)).mean())
 
 
 def _best_shift(truth: Target, points_m: FloatArray) -> FloatArray:
@@ -77,12 +65,13 @@ def _best_shift(truth: Target, points_m: FloatArray) -> FloatArray:
     corners_m = truth.triangles_m.reshape(-1, 3)
     middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2.0
     shift_m: FloatArray = middle_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2.0
-    step_m = truth.require_field().spacing_m
+    field = truth.require_field()
+    step_m = field.spacing_m
     for _ in range(_STEPS):
-        here_m = _signed_m(truth, points_m + shift_m)
+        here_m = sampled(field, points_m + shift_m)
         slope = np.stack(
             [
-                (_signed_m(truth, points_m + shift_m + way) - _signed_m(truth, points_m + shift_m - way))
+                (sampled(field, points_m + shift_m + way) - sampled(field, points_m + shift_m - way))
                 / (2.0 * step_m)
                 for way in step_m * np.eye(3)
             ],

@@ -111,7 +111,7 @@ def _apart(near: list[FoundSymmetry]) -> list[FoundSymmetry]:
 
 
 def _without_flips_of_bodies_of_revolution(found: list[FoundSymmetry]) -> list[FoundSymmetry]:
-    """Return one half turn across an axis of any turn, or of a high order, instead of all that were tried."""
+    """Return one half turn across an axis of any turn or of a high order, instead of all half turns tried."""
     kept: list[FoundSymmetry] = []
     for one in found:
         around = [other.axis for other in kept if other.continuous or other.order > _ORDERS[-1]]
@@ -152,7 +152,7 @@ class _Matcher:
 
     def _closest(self, points_m: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray, Array]:
         """Return distance over size, cosine and material of the surface nearest to places facing alike."""
-        lifted = points_m + 0.5 * _NEAR * self.size_m * normals  # prefers the face that looks the same way
+        lifted = points_m + 0.5 * _NEAR * self.size_m * normals  # prefers the surface that faces the same way
         found = self._scene.compute_closest_points(as_tensor(lifted))
         triangle = found["primitive_ids"].numpy().astype(np.int64)
         distance_m = self._scene.compute_distance(as_tensor(points_m)).numpy()
@@ -161,7 +161,7 @@ class _Matcher:
 
 
 def _about(matcher: _Matcher, axis: FloatArray) -> Iterator[FoundSymmetry]:
-    """Yield the symmetries about an axis: its highest exact order, and what is near: any turn or an order."""
+    """Yield the symmetries about an axis: its highest exact order, and near ones of any turn or an order."""
     beside_m = float(np.linalg.norm(matcher.centre_m - axis * (matcher.centre_m @ axis)))
     x, y, z = (float(value) for value in np.round(axis, 9) + 0.0)
     cx, cy, cz = (float(value) for value in matcher.centre_m)

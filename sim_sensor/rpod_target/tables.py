@@ -1,7 +1,7 @@
 """Tables that are computed once and kept beside the built targets: a restart does not compute them again.
 
-The name of a file is a digest of all that the table follows from, so that another input has another file.
-Like the targets they may be deleted at any time.
+The name of a file is a digest of the table's inputs, so that other inputs have another file. Like the
+targets, the files may be deleted at any time.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ def kept(name: str, version: int, inputs: tuple[Any, ...], make: Callable[[], Ta
     Args:
         name: what they are, for the name of their file.
         version: to be increased when the same inputs give other tables.
-        inputs: all that they follow from: arrays, numbers and texts.
+        inputs: everything that determines them: arrays, numbers and texts.
         make: function that computes them.
     """
     content = hashlib.sha256(f"{name} {version}".encode())

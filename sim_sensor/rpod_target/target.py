@@ -143,8 +143,8 @@ class Target:
     reliable: "Target | None" = None
     """The target without the parts that its file calls unreliable; None if there are none."""
     tolerance_m: float = 0.0
-    """How far places of its surface may be off, one standard deviation of each coordinate; those of one part
-    near each other are off alike."""
+    """How far places of its surface may be off, one standard deviation of each coordinate; near places of one
+    part have the same offset."""
     scale_tolerance: float = 0.0
     """Share by which it may be too large or too small as a whole, one standard deviation."""
     joints: tuple[Joint, ...] = ()

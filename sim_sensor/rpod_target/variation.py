@@ -1,7 +1,7 @@
 """Variations of a target: models that differ from it as an engineer's model differs from what flies.
 
 A variation is written behind a target's name or file: ``mockup@bent=5deg``, ``my.yaml@coarse=2%@scale=-1%``.
-It moves the corners of all surfaces, so that it does for any target, and keeps its axes.
+It moves the corners of all surfaces, so that it works for any target, and keeps the axes.
 """
 
 import re
@@ -27,7 +27,7 @@ _UNITS = {"deg": radians(1.0), "mm": 1e-3, "m": 1.0, "%": 0.01}
 _WAVES, _WAVELENGTHS = 12, (0.4, 1.2)
 """Number of waves of the displacement, and their least and greatest length over the target's longest side."""
 _PLANES, _ROOT = 33, (0.0, 0.8)
-"""Number of plane cuts across each direction, and the first and last of them, over the reach in it."""
+"""Number of plane cuts across each direction, and places of the first and the last one, over the extent."""
 
 
 def _in(unit: str) -> Any:
@@ -55,7 +55,8 @@ class Variation(Config):
     without: tuple[str, ...] = ()
     """Names of parts that are left out; one each term: ``@without=nose``."""
     off: Annotated[float, Field(ge=0)] = 0.0
-    """RMS distance, ``mm`` or ``m``, by which places are off, near ones alike, in random directions."""
+    """RMS distance, ``mm`` or ``m``, by which places are off in random directions; near places have
+    nearly the same offset."""
     scale: Annotated[float, Field(gt=-0.5, lt=1)] = 0.0
     """Share, ``%``, by which the model is larger than the target, about the origin."""
     coarse: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
@@ -133,7 +134,7 @@ class _Waves:
 
 @dataclass(frozen=True, eq=False)
 class _Root:
-    """The narrow place from which an end of a target reaches out: an array's arm, an instrument's foot."""
+    """The narrow root of an end that sticks out of a target, such as an array's arm."""
 
     centre_m: FloatArray
     """Middle of the outline of the cut, shape (3,)."""
@@ -159,7 +160,7 @@ class _Root:
                     longest = (1.0 - share) * reach_m / outline_m
                     found = cls(centre_m, direction)
         if found is None:
-            raise ValueError("has no end that could be bent or be missing")
+            raise ValueError("has no thin end that could be bent or missing; choose another variation")
         return found
 
     def beyond(self, points_m: FloatArray) -> Any:

@@ -1,7 +1,7 @@
 """Visibility from far away: which sides of a surface, and which places.
 
-An open surface has no inside by itself. What no direction sees is taken as its inside, so that neither holes,
-nor the order of corners, nor surfaces that stand twice decide it.
+An open surface has no inside by itself. The space that no direction sees is taken as its inside. So neither
+holes, nor the order of corners, nor duplicate surfaces affect the result.
 """
 
 from typing import Any

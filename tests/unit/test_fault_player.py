@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from rpod.play.command import run_command
 from rpod.play.facility import configure
 from rpod.play.fault_player import FaultPlayer
 from rpod.scenarios import find
@@ -120,6 +121,17 @@ def test_only_links_with_faults_pass_through_the_proxy_and_lockstep_has_none():
     with pytest.raises(ConfigurationError, match="link_delay needs the wall clock"):
         configure(run, directory=Path(), speed="max")
     assert configure(find("mockup-tumbling"), directory=Path(), speed="1").proxy is None
+
+
+def test_a_run_in_lockstep_with_a_fault_of_a_process_is_refused_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rpod.play.command.configure_logging", lambda _: None)
+    asked = {"fault": "stop", "service": "estimator", "start_s": 1.0, "duration_s": 1.0}
+    file = tmp_path / "lockstep.json"
+    file.write_text(scenario(asked).model_dump_json(), "utf-8")
+    options = dict.fromkeys(("duration_s", "seed", "pki"))
+    code = run_command(str(file), speed="max", out=tmp_path, view=False, as_json=True, **options)
+    assert code == 2
+    assert "stop needs the wall clock: run it with --speed 1" in capsys.readouterr().err
 
 
 def test_a_fault_of_a_service_that_a_run_does_not_have_is_refused():

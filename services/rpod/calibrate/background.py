@@ -8,18 +8,18 @@ from pathlib import Path
 import yaml
 
 from rpod.calibrate.unreadable import print_unreadable
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.background import learned_backgrounds
 from rpod_pose.surroundings.known import KnownSurroundingsError
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE
 from rpod_schemas.topics import TRUTH
 
 
 def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
     """Learn what each sensor of a log sees without the target; return the exit code."""
     if len(logs) != 1:
-        print(f"rpod calibrate background: {len(logs)} logs, 1 needed", file=sys.stderr)
-        return EXIT_USAGE
+        return failed("calibrate background", f"{len(logs)} logs are given; give one", EXIT_USAGE)
     out = out or Path("surroundings.yaml")
     sensors, found = {}, {}
     try:
@@ -33,14 +33,13 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
             print_unreadable("rpod calibrate background", log)
             if next(iter(log.odometry(TRUTH)), None) is not None:
                 print(
-                    f"rpod calibrate background: {logs[0].name}: the log has truth; if the target is in "
-                    "view, it counts as background where it stands still: log without it",
+                    f"rpod calibrate background: {logs[0].name}: the log has truth; a target in view "
+                    "that stands still becomes part of the background: log without the target",
                     file=sys.stderr,
                 )
         out.write_text(yaml.safe_dump({"sensors": sensors}), "utf-8")
     except (AnalysisError, KnownSurroundingsError, OSError) as error:
-        print(f"rpod calibrate background: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("calibrate background", error)
     if as_json:
         print(json.dumps({"file": str(out), "sensors": found}, indent=2))
         return EXIT_OK

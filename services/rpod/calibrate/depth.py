@@ -1,7 +1,6 @@
 """``rpod calibrate depth`` from its arguments to its exit code."""
 
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -11,10 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod.calibrate.unreadable import print_unreadable
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit, range_bins
 from rpod_analysis.calibration.depth_samples import collect
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.config.base import load
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.errors import ConfigurationError
@@ -37,12 +37,8 @@ def calibrate_command(
         if written:
             calibration.write(written)
         print_unreadable("rpod calibrate depth", *opened)
-    except ConfigurationError as error:
-        print(f"rpod calibrate depth: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except (AnalysisError, OSError) as error:
-        print(f"rpod calibrate depth: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+    except (ConfigurationError, AnalysisError, OSError) as error:
+        return failed("calibrate depth", error)
     if as_json:
         ranges = [asdict(part) | {"bias_sigma_m": part.bias_sigma_m} for part in bins]
         found = {"file": str(written) if written else None, "ranges": ranges}

@@ -1,7 +1,6 @@
 """``rpod calibrate mount`` and ``rpod calibrate clock`` from their arguments to their exit codes."""
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Literal
 import yaml
 
 from rpod.calibrate.unreadable import print_unreadable
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.hand_eye.fit import fit_hand_eye
 from rpod_analysis.calibration.hand_eye.logged import LoggedPoses, poses_of
@@ -23,17 +23,16 @@ from rpod_analysis.calibration.hand_eye.results import (
     warnings_of,
 )
 from rpod_analysis.errors import CalibrationError
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.config.base import load
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import rotation_matrix
-from rpod_target import TargetError
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Result of a verb: what is told, what is printed as JSON, and the file."""
+    """Result of a verb: the lines for the operator, the JSON object, and the file."""
 
     lines: Sequence[str]
     document: dict[str, Any]
@@ -62,12 +61,8 @@ def hand_eye_command(
             print_unreadable(f"rpod calibrate {verb}", log)
         file = out or found.default
         found.write(file)
-    except ConfigurationError as error:
-        print(f"rpod calibrate {verb}: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except (AnalysisError, TargetError, OSError) as error:
-        print(f"rpod calibrate {verb}: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+    except (ConfigurationError, AnalysisError, OSError) as error:
+        return failed(f"calibrate {verb}", error)
     if as_json:
         print(json.dumps(found.document | {"file": str(file), "findings": list(found.lines)}, indent=2))
     else:

@@ -2,12 +2,12 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import yaml
 
 from rpod.calibrate.unreadable import print_unreadable
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.intrinsics import (
     Checkerboard,
@@ -16,7 +16,7 @@ from rpod_analysis.calibration.intrinsics import (
     images_in,
     images_of,
 )
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE
 
 
 def camera_command(
@@ -25,18 +25,11 @@ def camera_command(
     """Find a camera's intrinsics from images of a checkerboard; return the exit code."""
     corners = re.fullmatch(r"(\d+)x(\d+)", pattern)
     if corners is None or min(int(corners[1]), int(corners[2])) < 3:
-        print(
-            f"rpod calibrate camera: --pattern is {pattern!r}, needs the inner corners, 3 or more each "
-            "way, as 9x6",
-            file=sys.stderr,
-        )
-        return EXIT_USAGE
+        reason = f"--pattern is {pattern!r}; give the numbers of inner corners, 3 or more each way, as 9x6"
+        return failed("calibrate camera", reason, EXIT_USAGE)
     if model not in ("plumb_bob", "rational_polynomial"):
-        print(
-            f"rpod calibrate camera: --model is {model!r}, needs plumb_bob or rational_polynomial",
-            file=sys.stderr,
-        )
-        return EXIT_USAGE
+        reason = f"--model is {model!r}; give plumb_bob or rational_polynomial"
+        return failed("calibrate camera", reason, EXIT_USAGE)
     board = Checkerboard(int(corners[1]), int(corners[2]), 1e-3 * square_mm)
     try:
         if images.is_dir() and not list(images.glob("*.mcap")):
@@ -51,8 +44,7 @@ def camera_command(
         comment = "".join(f"# {line}\n" for line in lines)
         file.write_text(comment + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     except (AnalysisError, OSError) as error:
-        print(f"rpod calibrate camera: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("calibrate camera", error)
     if as_json:
         print(json.dumps(_as_json(found) | {"file": str(file), "findings": lines}, indent=2))
     else:

@@ -11,12 +11,12 @@ from rpod.log_options import NoLimits
 
 
 class _WithOldForm(TyperGroup):
-    """Verbs of ``rpod calibrate``; ``rpod calibrate LOG`` still is ``rpod calibrate depth LOG``."""
+    """Verbs of ``rpod calibrate``; ``rpod calibrate LOG`` still means ``rpod calibrate depth LOG``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``depth`` before arguments that begin with no verb, and say so."""
+        """Put ``depth`` before arguments that do not begin with a verb, and print a remark."""
         if args and args[0] not in self.commands and args[0] not in ctx.help_option_names:
-            print("rpod calibrate: 'rpod calibrate LOG' is 'rpod calibrate depth LOG' now", file=sys.stderr)
+            print("rpod calibrate: 'rpod calibrate LOG' is now 'rpod calibrate depth LOG'", file=sys.stderr)
             args = ["depth", *args]
         return super().parse_args(ctx, args)
 

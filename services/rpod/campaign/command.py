@@ -16,7 +16,7 @@ from rich.table import Table as RichTable
 
 from rpod import __version__
 from rpod.campaign.progress import CampaignProgress
-from rpod.play.command import EXIT_INTERRUPTED
+from rpod.errors import EXIT_INTERRUPTED, failed
 from rpod.scenarios import find as find_scenario
 from rpod.scenarios import shipped
 from rpod_campaign.catalogue import find
@@ -27,11 +27,10 @@ from rpod_campaign.engine.executor.pool import ProcessPool
 from rpod_campaign.engine.report.models import models_section
 from rpod_campaign.engine.report.page import write_page
 from rpod_campaign.engine.run import prepare, run_campaign
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE
 from rpod_runtime.process.load import cores
 from rpod_schemas.config.base import check
 from rpod_schemas.errors import ConfigurationError
-from rpod_target import TargetError
 
 _PLAIN_WIDTH = 200
 
@@ -59,10 +58,10 @@ def campaign_command(
         executor = _executor(jobs, cluster)
         campaign = find(name)
         prepared = prepare(campaign, _options(name, campaign.options, options), out=out, version=__version__)
-    except (ConfigurationError, CampaignUnknownError) as error:
-        return _fail(error, EXIT_USAGE)
-    except (TargetError, CampaignError, OSError) as error:
-        return _fail(error, EXIT_FAILURE)
+    except CampaignUnknownError as error:
+        return failed("campaign", error, EXIT_USAGE)
+    except (ConfigurationError, CampaignError, OSError) as error:
+        return failed("campaign", error)
     try:
         with _every_signal_interrupts(), CampaignProgress(prepared, quiet=as_json) as progress:
             results = run_campaign(prepared, executor(progress.note), told=progress.one)
@@ -70,16 +69,17 @@ def campaign_command(
         machine = {**executor(progress.note).described(), "machine": platform.machine()}
         report = write_page(prepared, sections, version=__version__, machine=machine)
     except KeyboardInterrupt:
-        return _fail(
-            f"interrupted; the finished trials are kept in {prepared.folder.path}, the same command goes on",
+        return failed(
+            "campaign",
+            f"interrupted; the finished trials are kept in {prepared.folder.path}; repeat it to continue",
             EXIT_INTERRUPTED,
         )
     except TrialFailedError as error:
         if not error.expected:
             print(error.trace, end="", file=sys.stderr)
-        return _fail(error, EXIT_FAILURE)
+        return failed("campaign", error)
     except (CampaignError, OSError) as error:
-        return _fail(error, EXIT_FAILURE)
+        return failed("campaign", error)
     if as_json:
         told: dict[str, Any] = {"cells": [_plain(result.summary) for result in results]}
         if campaign.totals is not None:
@@ -168,8 +168,3 @@ def _plain(summary: Any) -> dict[str, Any]:
         else value
         for key, value in summary.items()
     }
-
-
-def _fail(reason: Exception | str, code: int) -> int:
-    print(f"rpod campaign: {reason}", file=sys.stderr)
-    return code

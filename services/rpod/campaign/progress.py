@@ -17,8 +17,8 @@ from rpod_campaign.engine.run import Prepared
 
 _PLAIN_PERIOD_S = 10.0
 _SPEED_PERIOD_S = 600.0
-"""Time over which the speed is measured that gives the time left. It is long because a trial of one cell may
-take a hundred times as long as one of another cell."""
+"""Time over which the speed of the trials is averaged to predict the time left, s. It is long because a trial
+of one cell may take a hundred times as long as one of another cell."""
 
 
 class CampaignProgress:
@@ -76,7 +76,7 @@ class CampaignProgress:
 
 
 def _beginning(prepared: Prepared) -> str:
-    """Return the first line: the campaign resumes, or it starts, with the reason why it does not resume."""
+    """Return the first line: that the campaign resumes, or that it starts and why it does not resume."""
     path = prepared.folder.path
     if prepared.done:
         return f"resuming {path}: {len(prepared.done)} of {prepared.total} trials are done"

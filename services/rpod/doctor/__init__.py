@@ -1,1 +1,1 @@
-"""``rpod doctor``: what a host is fit for, measured, with what to do where it is not."""
+"""``rpod doctor``: measures what a host is fit for, and names the remedy where it is not."""

@@ -22,7 +22,7 @@ _BLOCK_BYTES = 4 << 20
 _BLOCKS = 4
 _TIMEOUT_S = 10.0
 _SEEN_S = 3.0
-"""Longest time until two routers have told each other what is declared."""
+"""Longest time until two routers have exchanged their declarations, s."""
 
 
 class Visitor(Asker):
@@ -69,7 +69,7 @@ def routers(bus: BusConfig, other: str) -> Finding:
         if delay_s is None:
             return Finding(
                 check, Level.FAIL, f"{bus.connect} does not see what is declared there after {_SEEN_S:g} s",
-                "one of the two routers has to connect to the other: 'connect' of its configuration",
+                "let one of the two routers connect to the other, by 'connect' in its configuration",
             )  # fmt: skip
         return Finding(check, Level.OK, f"{bus.connect} sees it; an answer takes {1e3 * delay_s:.1f} ms")
 
@@ -105,8 +105,9 @@ def _measure(session: zenoh.Session, key: str, endpoint: str) -> Finding:
     check = f"link {endpoint}"
     if _first_delay_s(session, key) is None:
         return Finding(
-            check, Level.UNCHECKED, "a query is not answered", "in a secure facility only roles may declare"
-        )
+            check, Level.UNCHECKED, "a query is not answered",
+            "on a secure bus only clients with a role may answer queries: there the link cannot be measured",
+        )  # fmt: skip
     pings = sorted(filter(None, (_delay_s(session, key, b".", _TIMEOUT_S) for _ in range(_PINGS))))
     block = bytes(_BLOCK_BYTES)
     times_s = [_delay_s(session, key, block, _TIMEOUT_S) for _ in range(_BLOCKS)]
@@ -132,6 +133,6 @@ def check_link(check: str, delay_s: float, bytes_s: float) -> Finding:
     if frames_hz < CAMERA_HZ:
         return Finding(
             check, Level.NOTE, text,
-            "cameras at a higher rate: lower rate or resolution, or run the estimator on the sensor's host",
+            "for faster cameras, lower rate or resolution, or run the estimator on the sensor's host",
         )  # fmt: skip
     return Finding(check, Level.OK, text)

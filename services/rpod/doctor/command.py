@@ -13,8 +13,9 @@ from rpod import __version__
 from rpod.doctor import bus as over_bus
 from rpod.doctor import host
 from rpod.doctor.finding import Finding, Level
+from rpod.errors import failed
 from rpod.up.resolved import resolve_facility
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.config.base import check
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
@@ -36,18 +37,17 @@ def doctor_command(
     try:
         bus, listen, logs = _subject(facility, connect)
     except ConfigurationError as error:
-        print(f"rpod doctor: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        return failed("doctor", error)
     if not as_json:
         print("checking; the disk and the link take some seconds", file=sys.stderr)
     findings = list(_examine(bus, listen, directory or logs, other_router))
-    failed = [each for each in findings if each.level is Level.FAIL]
+    bad = [each for each in findings if each.level is Level.FAIL]
     if as_json:
-        told = {"version": __version__, "ok": not failed, "findings": [asdict(each) for each in findings]}
+        told = {"version": __version__, "ok": not bad, "findings": [asdict(each) for each in findings]}
         print(json.dumps(told, indent=2))
     else:
         _print(findings)
-    return EXIT_FAILURE if failed else EXIT_OK
+    return EXIT_FAILURE if bad else EXIT_OK
 
 
 def _subject(facility: Path | None, connect: str | None) -> tuple[BusConfig, str | None, Path]:

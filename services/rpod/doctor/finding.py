@@ -11,7 +11,7 @@ CAMERA_MB_S = CAMERA_FRAME_BYTES * CAMERA_HZ / 1e6
 
 
 class Level(StrEnum):
-    """How good or bad it is."""
+    """Result of a check."""
 
     OK = "ok"
     NOTE = "note"

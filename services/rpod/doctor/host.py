@@ -16,7 +16,7 @@ from rpod import __version__
 from rpod.doctor.finding import CAMERA_MB_S, Finding, Level
 
 _CLOCK_ERROR_S = 0.002
-"""Error of a clock that no estimate shows: at 5 deg/s, 0.01 deg of attitude."""
+"""Error of a clock that does not matter, s: at 5 deg/s it changes the attitude by 0.01 deg."""
 _DISK_BYTES, _BLOCK_BYTES = 128 << 20, 1 << 20
 _FREE_BYTES = 10 << 30
 _MEMORY_BYTES = 4 << 30
@@ -129,7 +129,8 @@ def disk(directory: Path) -> Iterator[Finding]:
             os.fsync(file.fileno())
             took_s = time.perf_counter() - began_s
     except OSError as error:
-        yield Finding(check, Level.FAIL, f"cannot be written: {error}", "give the logger's user the right")
+        remedy = "give the logger's user the right to write there"
+        yield Finding(check, Level.FAIL, f"cannot be written: {error}", remedy)
         return
     yield check_disk(check, _DISK_BYTES / 1e6 / took_s)
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
+from rpod.errors import failed
 from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
@@ -24,7 +25,7 @@ from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
 
 _SILENCE = "silence"
-"""Fault of a sensor of which no frame came."""
+"""Fault of a sensor from which no frame arrived."""
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
 
 
@@ -73,11 +74,9 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
         with Node(config, version=__version__, stop=Event()) as node:
             seen = watch(node, observer, duration_s=duration_s, stop=node.stop)
     except BusError as error:
-        print(f"rpod driver check: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("driver check", error)
     except KeyboardInterrupt:
-        print("rpod driver check: interrupted", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("driver check", "interrupted")
     results = judge(seen)
     if options.search and target:
         if not as_json:
@@ -97,7 +96,8 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     else:
         kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
-    bus = driver.bus.model_dump() | {"wait": options.wait}  # a driver waits for its router, a check says so
+    # A driver waits for its router; a check reports that there is none.
+    bus = driver.bus.model_dump() | {"wait": options.wait}
     bus |= {"connect": options.connect} if options.connect else {}
     return driver, check(BusConfig, bus, source="rpod driver check")
 
@@ -160,7 +160,7 @@ def show(results: list[CheckResult]) -> None:
 
 
 def _folded(results: list[CheckResult]) -> list[CheckResult]:
-    """Return the results to show: without any frame those with a cause, and the others in one line."""
+    """Return the results to show; if no frame arrived, those with a cause, and one line for the others."""
     told = [each for each in results if each.level is not Level.UNCHECKED]
     if not any(each.level is Level.FAIL and _SILENCE in each.faults for each in told):
         return results

@@ -1,4 +1,4 @@
-"""``rpod driver`` but for its check: from arguments to exit codes."""
+"""The verbs of ``rpod driver`` except ``check``, from their arguments to their exit codes."""
 
 import json
 import sys
@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
-from rpod.reloading import run_reloading
+from rpod.errors import failed
+from rpod.reloading import run_reloading, with_bus
 from rpod_driver import DriverError, host
 from rpod_driver.registered import Adapter, adapter, adapters
 from rpod_driver.scaffold import ScaffoldError, scaffold
@@ -27,8 +28,7 @@ def list_command(*, as_json: bool) -> int:
     try:
         found = adapters()
     except SchemaError as error:
-        print(f"rpod driver list: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("driver list", error, EXIT_FAILURE)
     if as_json:
         told = [
             {"name": each.name, "title": each.title, "needs": each.needs, "tested": each.tested}
@@ -72,8 +72,7 @@ def new_command(template: str, name: str, *, out: Path) -> int:
         print(f"rpod: {error}", file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:
-        print(f"rpod driver new: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("driver new", error)
     print(
         f"{folder}: next, pip install -e {folder} and python -m pytest {folder}; then read {folder}/README.md"
     )
@@ -96,8 +95,4 @@ def faults_command(*, as_json: bool) -> int:
 
 
 def _checked(found: Adapter, file: Path, options: dict[str, Any]) -> DriverConfig:
-    document = read_document(file)
-    bus = document.get("bus") or {}
-    if isinstance(bus, dict):  # otherwise the check below reports the error
-        document["bus"] = bus | {key: value for key, value in options.items() if value}
-    return check(found.config, document, source=file)
+    return check(found.config, with_bus(read_document(file), options), source=file)

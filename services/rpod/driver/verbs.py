@@ -23,8 +23,8 @@ SearchOption = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Search the target in some frames, also mirrored, in other units and with other lenses: "
-        "needs --target, and up to some minutes.",
+        help="Search the target in some frames, also mirrored, in other units and with other lenses. "
+        "It needs --target, and may take some minutes.",
     ),
 ]
 
@@ -62,7 +62,8 @@ def check(
         Path | None, typer.Option("--config", help="Configuration of the driver, for name, kind and bus.")
     ] = None,
     source: Annotated[
-        Path | None, typer.Option("--source", help="How a foreign driver publishes; see deploy/sensors.")
+        Path | None,
+        typer.Option("--source", help="File that tells how a foreign driver publishes; see deploy/sensors."),
     ] = None,
     connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
     duration: Annotated[float, typer.Option("--duration", help="Time to watch, s.")] = 30.0,

@@ -1,15 +1,15 @@
 """``rpod recover`` from its arguments to its exit code."""
 
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from rpod.errors import failed
 from rpod_analysis import AnalysisError
 from rpod_analysis.recovery import recover
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.logs import Recovery
 
 
@@ -18,8 +18,7 @@ def recover_command(log: Path, *, out: Path | None, as_json: bool) -> int:
     try:
         recovery = recover(log, out)
     except AnalysisError as error:
-        print(f"rpod recover: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("recover", error)
     if as_json:
         print(recovery.model_dump_json(indent=2))
     else:

@@ -13,19 +13,19 @@ from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
+from rpod.errors import failed
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
 from rpod_runtime import Node
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_runtime.process.lifecycle import run as run_service
 from rpod_schemas.config.base import check, load
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.replay import ReplayReport, Side
-from rpod_target import TargetError
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ def bus_command(
         _check_playback(playback)
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
-        return _refuse(error)
+        return failed("replay", error)
     outcome = EXIT_OK
 
     def serve(stop: Event) -> None:
@@ -127,8 +127,8 @@ def navigator_command(
                 start_s=start_s,
                 end_s=end_s,
             )
-    except (ConfigurationError, AnalysisError, TargetError) as error:
-        return _refuse(error)
+    except (ConfigurationError, AnalysisError) as error:
+        return failed("replay", error)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
@@ -171,11 +171,6 @@ def _replay(
         new=compared.new,
         difference=compared.difference,
     )
-
-
-def _refuse(error: Exception) -> int:
-    print(f"rpod replay: {error}", file=sys.stderr)
-    return EXIT_USAGE if isinstance(error, ConfigurationError) else EXIT_FAILURE
 
 
 _ROWS: tuple[tuple[str, str, Callable[[Side], float | None]], ...] = (

@@ -1,15 +1,15 @@
 """``rpod report`` from its arguments to its exit code."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from rpod.errors import failed
 from rpod.summary_table import print_summary
 from rpod_analysis import AnalysisError
 from rpod_analysis.report import group_parts, write_comparison, write_report
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.summary import Comparison, Summary
 
 
@@ -24,8 +24,7 @@ def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> 
     try:
         paths = write_report(runs[0], out) if len(runs) == 1 else write_comparison(runs, out)
     except (AnalysisError, OSError) as error:
-        print(f"rpod report: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("report", error)
     text = paths.summary.read_text("utf-8")
     if as_json:
         print(text, end="")

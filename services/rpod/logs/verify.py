@@ -1,10 +1,10 @@
 """``rpod verify-log`` from its arguments to its exit code."""
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpod.errors import failed
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_security.errors import ChainError
 from rpod_security.log_verification import Verification, verify
@@ -15,8 +15,7 @@ def verify_log_command(logs: Sequence[Path], *, authority: Path | None, as_json:
     try:
         results = [verify(log, authority=authority) for log in logs]
     except (ChainError, OSError) as error:
-        print(f"rpod verify-log: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        return failed("verify-log", error)
     if as_json:
         print(json.dumps({str(each.log): _document(each) for each in results}, indent=2))
     else:

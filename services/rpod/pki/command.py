@@ -14,8 +14,9 @@ from typing import ParamSpec
 from rich.console import Console
 from rich.table import Table
 
+from rpod.errors import failed
 from rpod.play.secure_run import ROLES as OF_A_RUN
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.config.base import load
 from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig, SensorGrant
 from rpod_schemas.errors import ConfigurationError
@@ -41,16 +42,11 @@ def _told(body: Callable[P, None]) -> Callable[P, int]:
     def command(*args: P.args, **kwargs: P.kwargs) -> int:
         try:
             body(*args, **kwargs)
-        except ConfigurationError as error:
-            print(f"rpod pki: {error}", file=sys.stderr)
-            return EXIT_USAGE
-        except SecurityError as error:
-            print(f"rpod pki: {error}", file=sys.stderr)
-            return EXIT_FAILURE
+        except (ConfigurationError, SecurityError) as error:
+            return failed("pki", error)
         except OSError as error:
             about = f"{error.filename}: " if error.filename is not None else ""
-            print(f"rpod pki: {about}{error.strerror or error}", file=sys.stderr)
-            return EXIT_FAILURE
+            return failed("pki", f"{about}{error.strerror or error}")
         return EXIT_OK
 
     return command
@@ -165,7 +161,7 @@ def rules_command(folder: Path, members: Path | None, *, out: Path | None, route
         print(text, end="")
     for member in rules.members:
         if member.name not in names:
-            print(f"rpod pki: {member.name} has no valid certificate, and no rights", file=sys.stderr)
+            print(f"rpod pki: {member.name} has no valid certificate, so it gets no rights", file=sys.stderr)
 
 
 @_told

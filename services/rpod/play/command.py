@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from rpod.errors import InterruptedRunError, RunError
+from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed
 from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
 from rpod_runtime import BusError
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_runtime.process.lifecycle import EXIT_OK, configure_logging
 from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
@@ -24,8 +24,6 @@ from rpod_target import check_model, load_target
 
 if TYPE_CHECKING:
     from rpod_analysis.report import ReportPaths
-
-EXIT_INTERRUPTED = 130
 
 
 def run_command(
@@ -52,19 +50,17 @@ def run_command(
         # built once here, so that the services find them in the cache
         check_model(load_target(scenario.target), load_target(scenario.model))
         folder = RunFolder.make(out, scenario)
-    except ConfigurationError as error:
-        return _fail(error, EXIT_USAGE)
-    except OSError as error:
-        return _fail(error, EXIT_FAILURE)
+    except (ConfigurationError, OSError) as error:
+        return failed("run", error)
     try:
         with Progress(quiet=as_json) as progress:
             play(scenario, folder, speed=pace, progress=progress, view=view, pki=pki, meanwhile=_load_report)
             progress.say("writing the report")
             paths = _report(folder)
     except (InterruptedRunError, KeyboardInterrupt):
-        return _fail("interrupted", EXIT_INTERRUPTED, folder)
-    except (RunError, BusError, SecurityError, OSError) as error:
-        return _fail(error, EXIT_FAILURE, folder)
+        return _fail("interrupted", folder, EXIT_INTERRUPTED)
+    except (ConfigurationError, RunError, BusError, SecurityError, OSError) as error:
+        return _fail(error, folder)
     summary = Summary.model_validate_json(paths.summary.read_text("utf-8"))
     if as_json:
         print(summary.model_dump_json(indent=2))
@@ -74,7 +70,7 @@ def run_command(
 
 
 def _load_report() -> None:
-    """Load what writes the report, which takes a second that the start of the services would wait for."""
+    """Load the code that writes the report, in the time in which the services stop: it takes a second."""
     with suppress(ImportError):  # told when the report is written
         import rpod_analysis.report  # noqa: F401, PLC0415
 
@@ -115,9 +111,9 @@ def _print(summary: Summary, paths: "ReportPaths") -> None:
     console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)
 
 
-def _fail(reason: Exception | str, code: int, folder: RunFolder | None = None) -> int:
-    print(f"rpod run: {reason}", file=sys.stderr)
-    if folder and folder.log.exists():
+def _fail(reason: Exception | str, folder: RunFolder, code: int | None = None) -> int:
+    code = failed("run", reason, code)
+    if folder.log.exists():
         print(f"log      {folder.log}", file=sys.stderr)
         print(f"next     rpod report {folder.log}", file=sys.stderr)
     return code

@@ -1,7 +1,7 @@
 """Waits until the log has what a service has published, before that service is stopped.
 
-What a receiver has missed, it gets from the publisher's cache, which ends with the publisher. A logger that
-stood still meanwhile could not ask for it any more.
+A receiver gets the messages that it missed from the publisher's cache, which ends with the publisher. A
+logger that stood still until then could not get them any more.
 """
 
 import logging
@@ -16,12 +16,12 @@ from rpod_schemas.types import PUBLISHED
 log = logging.getLogger(__name__)
 
 _ANSWER_S = 2.0
-"""Longest time of one question, s."""
+"""Longest wait for one answer, s."""
 _PATIENCE_S = 20.0
 """Longest time until all is received, s."""
 _PROGRESS_S = 2.0
-"""Longest time in which nothing of what is missing arrives, s: it does not come any more. Publishers tell
-their last numbers each 0.2 s."""
+"""Time after which missing messages are given up if none of them arrives, s. Publishers tell their last
+numbers each 0.2 s."""
 _POLL_S = 0.05
 
 

@@ -98,7 +98,10 @@ def _emulator(scenario: Scenario, bus: BusConfig, time_source: TimeSource) -> Em
 
 
 def _check_faults(scenario: Scenario, speed: Speed) -> None:
-    """Raise ``ConfigurationError`` for faults that lockstep cannot have: it waits for every service."""
+    """Raise ``ConfigurationError`` for faults of links, processes or the disk in lockstep.
+
+    Lockstep waits for all services.
+    """
     others = [fault.fault for fault in scenario.faults if not fault.kind.of_sensor]
     if speed == "max" and others:
         raise ConfigurationError(

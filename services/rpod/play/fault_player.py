@@ -2,8 +2,8 @@
 
 A process is killed, stopped and slowed by signals. A killed service is started again when its fault ends. The
 emulator is told the run's epoch again, and an estimator gets another identity on the bus, since receivers
-know the messages of a session by their numbers. Faults of links are asked of the proxy, that of the disk of
-the logger.
+know the messages of a session by their numbers. The proxy makes the faults of links, the logger that of the
+disk, on request.
 """
 
 import logging
@@ -34,7 +34,7 @@ _ALWAYS_NS = 2**62
 _RECORD_S = 30.0
 """Longest time until the logger records again after its disk was full."""
 _TURN_MOST_S = 6.0
-"""Longest time that one question takes, unless this process stands still."""
+"""Longest time that one request takes, s, unless this process stands still."""
 _BACK_S = 60.0
 """Longest time that a service may take to be at work again."""
 _RESTARTED = ("router", "emulator", "estimator", "logger")
@@ -71,7 +71,7 @@ class FaultPlayer:
 
     @contextmanager
     def playing(self, epoch_ns: int) -> Iterator[None]:
-        """Play the scenario's faults, whose times count from an epoch, ns; what lasts at the end is ended."""
+        """Play the scenario's faults, whose times count from an epoch, ns; end those that outlast the run."""
         self._epoch_ns = epoch_ns
         planned = [fault for fault in self._scenario.faults if not fault.kind.of_sensor]
         for fault in planned:
@@ -140,7 +140,7 @@ class FaultPlayer:
                 pass
             case _:
                 self._ask(fault)
-                return  # proxy and logger tell it
+                return  # proxy and logger publish it themselves
         self._book.publish([fault.injected])
 
     def _ask(self, fault: _Playing) -> None:
@@ -173,7 +173,7 @@ class FaultPlayer:
                 pass
 
     def _record_again(self) -> None:
-        """Start a new log; the logger's own time of the fault ends a moment later."""
+        """Start a new log; try again until the logger's own fault has ended, a moment later."""
         clock = AwakeClock(_TURN_MOST_S)
         while True:
             try:
@@ -190,7 +190,7 @@ class FaultPlayer:
             Thread(target=self._start_emulator, name="restart", daemon=True).start()
 
     def _start_emulator(self) -> None:
-        """Tell an emulator that was started again when the run began."""
+        """Start the run in an emulator that was started again, with the run's own epoch."""
         request = StartRequest(epoch_ns=self._epoch_ns, duration_s=self._scenario.duration_s)
         clock = AwakeClock(_TURN_MOST_S)
         while not self._over.wait(10 * _TURN_S):

@@ -39,7 +39,8 @@ _TURN_S = 5.0
 """Longest time that one look at all services takes, unless this process stands still."""
 _POLL_S = 0.1
 _LONG_START_S = 15.0
-"""Time after which a start takes as long as only compiling does; with compiled kernels it is 3 to 10 s."""
+"""Time after which a start takes so long that kernels are likely being compiled, s; with compiled kernels it
+takes 3 to 10 s."""
 _COMPILING = "compiling takes minutes at a first start; a busy machine takes longer, too"
 _VIEW, _LOGGER = "view", "logger"
 

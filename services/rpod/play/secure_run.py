@@ -41,7 +41,7 @@ def secured(facility: Facility, pki: Path, *, rules: Path) -> Facility:
     if facility.proxy is not None:
         raise CredentialsError(
             pki,
-            "faults of links need a certificate of the proxy, which a run has not",
+            "faults of links need a certificate of the proxy, and 'rpod run' has none",
             "run without --secure",
         )
     endpoint = facility.router.listen.replace("tcp/", "tls/", 1)
@@ -77,5 +77,5 @@ def _identity(folder: Path) -> Identity:
         return Credentials.read(folder).identity
     except CredentialsError as error:
         raise CredentialsError(
-            folder, str(error), "'rpod pki init' and 'rpod pki issue all' make all of a run"
+            folder, str(error), "'rpod pki init' and 'rpod pki issue all' make all credentials of a run"
         ) from error

@@ -10,9 +10,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from rpod.errors import failed
 from rpod.steps import Steps
 from rpod_analysis.target_check import TargetCheck, check_target, checked_symmetries, write_page
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_target import Target, TargetError, load_target
 from rpod_target.drafting.draft import METRES, Draft, DraftOptions, draft
 from rpod_target.mesh.files import FORMATS, METRIC
@@ -25,12 +26,8 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
         asked = _asked(cad, options, as_json=as_json)
         with Steps(quiet=as_json) as steps:
             made = draft(cad, out, asked, symmetries=checked_symmetries, say=steps.say)
-    except TargetError as error:
-        print(f"rpod target new: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except OSError as error:
-        print(f"rpod target new: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+    except (TargetError, OSError) as error:
+        return failed("target new", error)
     if as_json:
         print(json.dumps(_new_document(made), indent=2))
         return EXIT_OK
@@ -84,12 +81,8 @@ def check_command(
         target = _target(file, units=units, longest_side_m=longest_side_m)
         found = check_target(target, trials=trials)
         files = write_page(target, found, out or Path())
-    except TargetError as error:
-        print(f"rpod target check: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except OSError as error:
-        print(f"rpod target check: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+    except (TargetError, OSError) as error:
+        return failed("target check", error)
     if as_json:
         written = {"page": str(files.page), "picture": str(files.picture)}
         print(json.dumps(found.document() | written, indent=2))

@@ -105,9 +105,9 @@ def check(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Say what rpod makes of a target, and draw it.
+    """Describe a target as rpod sees it, and draw it.
 
-    It tells size, repairs, symmetries, the accuracy to expect by range, and how methods do.
+    It tells size, repairs, symmetries, the accuracy to expect by range, and how well methods find it.
     """
     if file.suffix or len(file.parts) > 1:  # no name
         _needs(file, "check")

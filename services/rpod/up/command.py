@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from rpod.errors import RunError
+from rpod.errors import RunError, failed
 from rpod.up.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE, configure_logging
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, configure_logging
 from rpod_schemas.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.1
 _SAME_S = 0.5
-"""Time within which a second signal is the first one again: ``timeout`` sends it to the process and, at once,
-to its group. Hand: a person who has seen nothing happen asks again later than that."""
+"""Time within which a second signal counts as the first one, s: ``timeout`` sends a signal to the process
+and, at once, to its group. Hand: an operator who sees no effect sends the second one later than this."""
 
 
 def up_command(path: Path, *, as_json: bool) -> int:
@@ -38,10 +38,8 @@ def up_command(path: Path, *, as_json: bool) -> int:
     try:
         facility = resolve_facility(path)
         keep_up(facility, asked=asked, tell=lambda status: _print_status(status, as_json=as_json))
-    except ConfigurationError as error:
-        return _fail("up", error, EXIT_USAGE)
-    except (RunError, OSError) as error:
-        return _fail("up", error, EXIT_FAILURE)
+    except (ConfigurationError, RunError, OSError) as error:
+        return failed("up", error)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -63,7 +61,7 @@ def ps_command(path: Path, *, as_json: bool) -> int:
     try:
         file, state = read_facility(path)
     except ConfigurationError as error:
-        return _fail("ps", error, EXIT_USAGE)
+        return failed("ps", error)
     status = read_status(state, file.name)
     if as_json:
         print(status.model_dump_json(indent=2))
@@ -77,14 +75,14 @@ def down_command(path: Path, *, as_json: bool) -> int:
     try:
         file, state = read_facility(path)
     except ConfigurationError as error:
-        return _fail("down", error, EXIT_USAGE)
+        return failed("down", error)
     pid = holder(state)
     if pid is not None:
         os.kill(pid, signal.SIGTERM)
         deadline_s = time.monotonic() + STOP_TIMEOUT_S * (len(file.services) + 1)
         while holder(state) == pid:
             if time.monotonic() > deadline_s:
-                return _fail("down", f"process {pid} does not end; its log lines say why", EXIT_FAILURE)
+                return failed("down", f"process {pid} does not end; its log lines say why")
             time.sleep(_POLL_S)
     if as_json:
         print(read_status(state, file.name).model_dump_json(indent=2))
@@ -122,8 +120,3 @@ def _print(status: FacilityStatus) -> None:
         table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory, reserve,
                       str(each.restarts), each.last_end, each.message)  # fmt: skip
     Console(width=None if sys.stdout.isatty() else 160).print(table)
-
-
-def _fail(verb: str, reason: Exception | str, code: int) -> int:
-    print(f"rpod {verb}: {reason}", file=sys.stderr)
-    return code

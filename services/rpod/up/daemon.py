@@ -26,7 +26,7 @@ from rpod_schemas.config.facility.hosts import BackoffConfig
 log = logging.getLogger(__name__)
 
 _STARTING_S = 1.0
-"""Time that a service that is not ready yet has for its end; nothing interrupts a compilation."""
+"""Time that a service that is not ready yet gets to end by itself, s; a compilation cannot be interrupted."""
 _LOG_BYTES = 16 << 20
 """Size of a file of log lines at which a restart begins a new one; the one before is kept."""
 
@@ -69,7 +69,8 @@ class Daemon:
     ) -> None:
         self.name, self.service = service.name, service
         self._clock = clock or AwakeClock()
-        """Counts the manager's own time: a manager that stood still must not take the others for hanging."""
+        """Counts the time in which the manager itself ran: if it stood still, it must not conclude that
+        services hang."""
         self.state: DaemonState = "stopped"
         self.message = ""
         self.restarts = 0
@@ -147,7 +148,7 @@ class Daemon:
             )
 
     def turn(self) -> None:
-        """Take what the process has told, notice its end or that it hangs, and start it again when due."""
+        """Read the process's reports, notice its end or a hang, and start it again when that is due."""
         self._listen()
         if self._process is not None:
             code = self._process.poll()
@@ -162,7 +163,7 @@ class Daemon:
             self.start()
 
     def reload(self, service: ResolvedService) -> None:
-        """Take another configuration: at once what may change, and all of it at the next start."""
+        """Take another configuration. Fields that may change apply at once, all others at the next start."""
         if service != self.service:
             self.reserve.drop()
         self.service = service
@@ -183,7 +184,10 @@ class Daemon:
             self._process.send_signal(number)
 
     def stop(self, timeout_s: float) -> None:
-        """Ask the process to finish, wait, and kill it if it does not; one that still starts has no work."""
+        """Ask the process to finish, wait, and kill it if it does not.
+
+        A service that is still starting gets less time.
+        """
         self.reserve.drop()
         if self._process is not None:
             timeout_s = min(timeout_s, _STARTING_S) if self.state == "starting" else timeout_s
@@ -224,7 +228,7 @@ class Daemon:
         """Kill a process that does not become ready in time, or whose main loop hangs."""
         settings, now_s = self.service.settings, self._clock.now_s()
         late = now_s - self._started_s > settings.start_timeout_s and settings.verb != "driver"
-        if self.state == "starting" and late and self._at_work:  # else it has told why
+        if self.state == "starting" and late and self._at_work:  # else it has reported the reason
             self._reason = f"was not ready after {settings.start_timeout_s:g} s"
         elif self.state == "ready" and now_s - self._heard_s > self._hang_s:
             self._reason = f"hung for {self._hang_s:g} s"

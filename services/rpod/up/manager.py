@@ -91,7 +91,7 @@ class FacilityManager:
         try:
             new = {service.name: service for service in resolve_facility(self._facility.path).services}
         except ConfigurationError as error:
-            log.error("SIGHUP: everything stays as it is: %s", error)
+            log.error("SIGHUP: the file is refused and nothing changes: %s", error)
             return
         for daemon in self._daemons:
             if daemon.name in new:

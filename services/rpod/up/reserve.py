@@ -19,7 +19,7 @@ processor, and a service that fails at once gets no reserve."""
 PAUSE_S = 60.0
 """Time until the next try after a process in reserve has ended by itself."""
 _END_S = 1.0
-"""Time that it has for its end; nothing interrupts a compilation."""
+"""Time that it gets to end by itself, s; a compilation cannot be interrupted."""
 
 
 class Reserve:

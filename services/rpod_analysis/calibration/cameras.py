@@ -1,4 +1,4 @@
-"""The PMD camera of a log that a calibration asks for, or why it has none."""
+"""The PMD camera that a calibration asks for in a log, or the reason why the log has none."""
 
 from rpod_analysis.errors import CalibrationError, NoFramesError
 from rpod_analysis.log import Log

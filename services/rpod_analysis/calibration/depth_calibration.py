@@ -36,7 +36,7 @@ _TUKEY = 4.685
 """Width of Tukey's biweight in robust standard deviations: 95 % efficient for normal errors."""
 _ROUNDS = 20
 _LEAST_NOISE_M = 0.01
-"""Least noise in the weight of a pixel: with less noise the remaining errors are systematic."""
+"""Least noise in the weight of a pixel, m: below it the remaining errors are systematic."""
 _BLOCK = 10
 """Number of successive frames that count as one in standard errors, since they share unmodelled errors."""
 _SIGNIFICANT = 4.0

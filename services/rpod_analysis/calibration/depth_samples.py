@@ -39,7 +39,7 @@ _LEAST_AMPLITUDE = 0.3
 """Least amplitude, as a share of the median amplitude of the target's pixels."""
 _MOST_SATURATION = 0.9
 """Greatest amplitude, as a share of the saturated amplitude."""
-_OF_LIDAR = "a LIDAR's range error is told by 'rpod driver check' with --target beside truth"
+_OF_LIDAR = "for a LIDAR, 'rpod driver check' with --target and truth reports the range error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ class _Reference:
     ) -> None:
         self._target, self._T_sensor_chaser, self._truth = target, T_chaser_sensor.inv(), truth
         self._plane = _planes(target)
-        one = len(frequencies_hz) == 1  # with two, the camera itself has unwrapped
+        one = len(frequencies_hz) == 1  # with two frequencies, the camera has unwrapped the distances
         self._interval_m = unambiguous_range_m(frequencies_hz[0]) if one else np.inf
         self._seen: tuple[Camera, RayGrid] | None = None
 

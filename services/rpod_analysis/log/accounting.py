@@ -15,9 +15,10 @@ _PASSED_OVER = (f"{_DROPPED}/", f"{_INCOMPLETE}/")
 """Counters of each sensor: complete frames that a newer one replaced, and frames that were never complete."""
 _COMMANDS = "commands/"
 _INPUTS, _LOSS = "inputs/", "input/"
-"""Counters of the frames of each sensor that an estimator used or not, and texts that tell why not."""
+"""Counters of the frames of each sensor that an estimator used or did not use, and texts with the reasons."""
 _BODIES, _BODY = "bodies/", "body/"
-"""Counters of what each sensor's frames show of each known body, and texts that tell where it is not."""
+"""Counters of the frames of each sensor by what they show of each known body, and texts about bodies
+elsewhere."""
 _MOST_LOSSES = 500
 _MOST_COMMANDS = 12
 _MOST_ALARMS = 100
@@ -135,7 +136,7 @@ class Account:
         return total
 
     def inputs(self, status_topic: str) -> dict[str, InputAccount]:
-        """Return what became of the frames of each sensor at the estimator that publishes this status."""
+        """Return the outcomes of each sensor's frames at the estimator that publishes this status."""
         found: dict[str, InputAccount] = {}
         for service, counters in self.counters.items():
             if PUBLISHED + status_topic not in counters:

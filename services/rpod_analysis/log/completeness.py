@@ -68,7 +68,7 @@ class CheckedCompleteness:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """Publishers of other software that ended, of which nobody knows the last number, a sentence each."""
+        """Publishers of other software that ended without stating their last number, a sentence each."""
         return tuple(text for file in self.files for text in file.bus.unconfirmed)
 
     def summary(self) -> LogCompleteness:

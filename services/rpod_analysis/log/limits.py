@@ -1,4 +1,4 @@
-"""Limits on what a log may ask of the machine that reads it.
+"""Limits on the memory and time that a log may demand of the machine that reads it.
 
 A file of a few megabytes may announce gigabytes. The limits were chosen, not derived from logs.
 ``--no-limits`` of the commands lifts them for a file that is trusted.

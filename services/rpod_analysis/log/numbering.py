@@ -1,7 +1,7 @@
 """Sequence numbers of each publisher in a log: what it published before the log began is not missed.
 
-A log that begins in the middle, such as that of a logger which was started again, has of each publisher that
-was there already only the later numbers, and of those that start afterwards all.
+A log may begin in the middle, such as that of a logger which was started again. Of each publisher that was
+there already it has only the later numbers, and of those that start afterwards all.
 """
 
 from collections import defaultdict
@@ -14,7 +14,7 @@ from rpod_schemas.topics import SENSOR_CACHE
 
 @dataclass
 class _Publisher:
-    """One publisher of a topic; all of them where the log does not tell them apart."""
+    """One publisher of a topic; all of its publishers if the log does not distinguish them."""
 
     session: str
     first: int
@@ -39,8 +39,8 @@ class Numbering:
     _topics: dict[str, dict[str, _Publisher]] = field(default_factory=lambda: defaultdict(dict))
     """Publishers by topic and gid."""
     _earlier: set[str] = field(default_factory=set)
-    """Sessions that published before the log began: some of their messages may be from before, and others of
-    their publishers may have none in the log from then."""
+    """Sessions that published before the log began: some of their messages in the log may be from before, and
+    other publishers of these sessions may have published before without a message in the log."""
 
     def take(self, logged: Logged) -> None:
         """Take a message, in the order of arrival."""

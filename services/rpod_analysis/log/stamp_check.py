@@ -1,4 +1,4 @@
-"""Wrong stamps of logged messages are found: those that belong to none of a log's clocks."""
+"""Finds wrong stamps of logged messages: those that belong to none of the log's clocks."""
 
 from itertools import islice
 

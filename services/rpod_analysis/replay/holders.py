@@ -22,7 +22,7 @@ from rpod_schemas.rmw.cdr import NANOSECONDS
 
 
 def of_holders(log: Log, *topics: str, unused: Counter[str]) -> Iterator[tuple[Logged, Callable[[], None]]]:
-    """Yield the messages whose publishers may be used, each with a function that lets its publisher hold it.
+    """Yield the messages whose publishers may be used, each with a function that makes the publisher hold it.
 
     Args:
         log: the log.
@@ -126,7 +126,7 @@ class LoggedHolders:
 
     @property
     def undivided(self) -> dict[str, int]:
-        """Number of publishers of each stream whose messages the log does not tell apart: all are used."""
+        """Number of publishers of each stream whose messages the log does not distinguish: all are used."""
         named = {topic for topic, _, _ in self._log.publishers}
         found = {}
         for channel, text in self._log.metadata(PUBLISHERS).items():

@@ -65,7 +65,8 @@ class Replayed:
     second_publisher: dict[str, int]
     """Number of messages that were not used because another publisher held the topic, by topic."""
     undivided: dict[str, int]
-    """Number of publishers of each topic whose messages the log does not tell apart, so that all are used."""
+    """Number of publishers of each topic whose messages the log does not distinguish, so that all are
+    used."""
     resets: int
     """Number of logged resets that were repeated."""
     unknown_resets: int
@@ -244,7 +245,7 @@ class _Feed:
             yield output, self._estimator.integrity(output, frozen=frozen)
 
     def outputs(self, events: Iterable[Event]) -> Iterator[tuple[Output, bool]]:
-        """Yield the estimator's outputs, and whether their frames were refused as a frozen stream's."""
+        """Yield the estimator's outputs, and whether their frames were refused because the stream froze."""
         for event in events:
             self._estimator.learn(self._reader.infos)
             for heard in self._inputs:

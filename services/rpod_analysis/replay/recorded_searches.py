@@ -29,7 +29,7 @@ class RecordedSearches:
         """Return the result of a search at the frame at which the live run had it; None before."""
         if not search.waited and BEGUN in self.evidence:
             return None
-        if not search.waited and AGE_S in self.evidence:  # after an unsuccessful search, the next one rests
+        if not search.waited and AGE_S in self.evidence:  # a pause after a search that failed
             return Found.resting()
         if search.waited and AGE_S not in self.evidence:
             return None

@@ -189,7 +189,7 @@ def _software(record: dict[str, str]) -> str:
 
 
 def _changes(log: Log, truth: Target, model: Target) -> str:
-    """Return how the targets of this machine differ from those of the run, or which they were."""
+    """Return how the targets of this machine differ from those of the run, or which targets it had."""
     software = log.metadata(SOFTWARE)
     digests = software.get("target_digest", "").split()
     contents = software.get("target_content", "").split()

@@ -78,7 +78,7 @@ class Band:
         self.values: NDArray[np.int64] = np.empty(0, np.int64)
         self.end_ns = 0
         self.left_out_ns = 0
-        """Length up to which intervals are not drawn, ns."""
+        """Length below which intervals are not drawn, ns."""
 
     def extend(self, stamp_ns: IntArray, values: IntArray) -> None:
         """Add values that are later than those before; each is valid until the next."""

@@ -25,7 +25,8 @@ class FaultScore:
     modes: Counter[int] = field(default_factory=Counter)
     """Number of frames during the fault, by mode."""
     lost_ns: int | None = None
-    """First frame in LOST or ACQUIRING from the begin on, until the target is tracked again."""
+    """Stamp of the first frame in LOST or ACQUIRING after the beginning, before the target is tracked
+    again."""
     again_ns: int | None = None
     """First accepted frame in TRACKING from the end on."""
     scored: int = 0

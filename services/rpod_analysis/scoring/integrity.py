@@ -73,7 +73,7 @@ class IntegrityTotals:
 
 
 def _misleading(told: Integrities, estimate_ns: IntArray, errors: Errors) -> tuple[int, int]:
-    """Return how many estimates mislead, and how many have both truth and integrity."""
+    """Return how many estimates are misleading, and how many have both truth and integrity."""
     known_ns, known = estimate_ns[errors.scored], np.flatnonzero(errors.scored)
     if not known_ns.size:
         return 0, 0

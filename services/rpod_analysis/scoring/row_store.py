@@ -1,6 +1,6 @@
 """Storage for the rows and numbers of a run of any length: first in memory, then on disk.
 
-The memory is bounded by that of a minute of the run; the statistics are exact nevertheless.
+The memory is bounded by the size of a minute of the run. The statistics are exact.
 """
 
 import pickle

@@ -3,8 +3,8 @@
 A point with the normal n at the place p, measured with the standard deviation s along its ray, gives the
 information J^T J / (s cos)^2 with J = (n, p x n) about the translation and the rotation of the target. The
 sum over a frame's points, inverted, is the smallest covariance of any method without prior knowledge (Cramér
-and Rao). Bias, outliers and a wrong model are not in it. The frames are those of the emulators with their
-default configuration, so that detection, exposure and materials are in it.
+and Rao). It does not contain bias, outliers and errors of the model. The frames are those of the emulators
+with their default configuration, so it contains the effects of detection, exposure and materials.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from rpod_target import Equivalence, Target
 
 _ATTITUDES = 8
 _SHARES = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
-"""Ranges that are looked at, over the target's radius."""
+"""Ranges that are examined, over the target's radius."""
 _FEWEST = 6
 """Least number of points that can fix a pose."""
 _STEEPEST = 0.1

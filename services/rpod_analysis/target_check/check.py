@@ -91,7 +91,7 @@ class FrameFacts:
 
 @dataclass(frozen=True)
 class TargetCheck:
-    """Everything that a check finds."""
+    """All results of a check."""
 
     name: str
     file: str
@@ -209,7 +209,7 @@ def _materials(target: Target) -> tuple[MaterialFacts, ...]:
 
 
 def described_frame(target: Target, name: str) -> FrameFacts:
-    """Return what a check tells of a frame of the target."""
+    """Return the result of a check for a frame of the target."""
     pose = target.frames[name]
     surface = Surface.of(target.triangles_m, target.normals)
     place_m = pose.translation[None]

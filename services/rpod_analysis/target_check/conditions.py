@@ -102,7 +102,7 @@ def _placed(
 ) -> RigidTransform:
     """Return T_sensor_target with a place of the target on the boresight, where it looks as large as wanted.
 
-    Where it never looks so large, it is at the least range that is allowed; beyond the reach, at the reach.
+    If it never looks so large, the range is the least one allowed; it is never beyond the reach.
     """
 
     def at(range_m: float) -> RigidTransform:

@@ -3,8 +3,8 @@
 A turn is a near symmetry if one frame may not distinguish the turned pose from the right one. For each
 sensor, at the ranges of ``conditions``, the target is cast at a pose and at the turned one, which is first
 shifted and turned by the least-squares step that brings the two together. A ray that meets both has the log
-likelihood ratio d^2 / (2 s^2): d is the difference of the ranges beyond the errors of model and sensor that
-no average removes, and s the noise of emulated frames; d / s is at most three. A ray that meets only one of
+likelihood ratio d^2 / (2 s^2): d is the part of the range difference that exceeds the systematic errors of
+model and sensor, and s the noise of emulated frames; d / s is at most three. A ray that meets only one of
 them, or surfaces of different brightness in a camera, has the greatest ratio. Outlines and steps of the range
 may differ by one ray. The sum, times the share of rays that an emulated frame measures, is the mean by which
 the right pose wins.
@@ -33,12 +33,12 @@ _VIEWS = 12
 """Number of poses of each sensor, a third at each of its ranges."""
 _SEED = 2
 _MODEL_ERROR = 1e-3
-"""Differences of the range below this, over the longest side, are the model's: the largest error of a
+"""Range differences below this, over the longest side, count as errors of the model: the largest error of a
 simplified mesh."""
 _SURE = float(np.log(19.0))
 """Log likelihood by which a pose wins that the acquisitions accept: a weight of 0.95."""
 _MOST_SIGMAS = 3.0
-"""Greatest difference of a ray, in standard deviations: one stray ray decides nothing."""
+"""Greatest difference of a ray that counts, in standard deviations, so that no single stray ray decides."""
 _SAME_BRIGHTNESS = 1
 """Steps between dark, grey and white that a camera's light and exposure may hide."""
 _BRIGHTNESS = {"dark": 0, "grey": 1, "white": 2, "mirror": 4}
@@ -51,7 +51,7 @@ _STEEPEST = 0.2
 
 
 def checked_symmetries(target: Target) -> list[FoundSymmetry]:
-    """Return the exact and the near symmetries of a target, with what sensors make of each; exact ones first.
+    """Return a target's exact symmetries, then its near ones, each with the sensors' power to tell it.
 
     A symmetry is exact if no sensor distinguishes it in any view. A small part, which the comparison by shape
     meets in few places, may distinguish it.
@@ -146,7 +146,7 @@ def _conditions(kind: str, target: Target) -> Iterator[tuple[int, Condition, Emu
 def _likeness(target: Target, sensor: _Sensor, one: FoundSymmetry) -> list[Likeness]:
     """Return how well a sensor distinguishes the two poses, by condition.
 
-    About a free axis, the turn counts that it distinguishes best.
+    About a free axis, the turn that the sensor distinguishes best counts.
     """
     turns = TURNS if one.continuous else (1.0 / one.order,)
     rotations = [Rotation.from_rotvec(2.0 * np.pi * turn * np.array(one.axis)) for turn in turns]

@@ -168,7 +168,7 @@ def _made(emulated: EmulatedKind, target: Target) -> list[_Tried]:
 
 
 def _prepared(one: Method, task: Task) -> Any:
-    """Return a configured method with what its kind does to frames before, such as unwrapping distances."""
+    """Return a configured method with what its kind does to frames first, such as unwrapping distances."""
     kind = kind_methods(task.sensor)
     if one.role == "tracking" and kind.tracker is not None:
         return kind.tracker(task)

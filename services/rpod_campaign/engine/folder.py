@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from rpod_campaign.engine.errors import ForeignFolderError
 
 MANIFEST = "manifest.json"
 _ABANDONED_S = 600.0
-"""Age from which on a file that is being written is left over from a process that was killed, s."""
+"""Age above which an unfinished file counts as left over from a process that was killed, s."""
 _MOST_PARTS = 256
 """Number of files of rows above which they are merged into one while the campaign runs."""
 _READS = 5
@@ -68,7 +68,7 @@ class CampaignFolder:
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
-            _write_whole(file, text.encode())
+            _write_whole(file, lambda path: path.write_bytes(text.encode()))
         elif file.read_text("utf-8") != text:
             raise ForeignFolderError(folder.path, "its manifest.json is of another campaign")
         return folder
@@ -95,7 +95,7 @@ class CampaignFolder:
         for _ in range(_READS - 1):
             try:
                 return self._read()
-            except FileNotFoundError:  # another run made one file of this and others
+            except FileNotFoundError:  # another run has merged this file with others
                 continue
         return self._read()
 
@@ -109,12 +109,12 @@ class CampaignFolder:
     def add(self, rows: Sequence[Row]) -> None:
         """Store a batch of rows, all of them or none."""
         if rows:
-            name = f"{time.time_ns()}-{os.getpid()}"  # two runs at once do not meet
+            name = f"{time.time_ns()}-{os.getpid()}"  # two runs at the same time use different names
             self.write_part(name, pl.DataFrame(rows, schema=self.schema))
 
     def write_part(self, name: str, rows: pl.DataFrame) -> None:
         """Store rows as a part with a name; a part with the same name is replaced. Raises OSError."""
-        self._write(self.path / f"part-{name}.parquet", rows)
+        _write_whole(self.path / f"part-{name}.parquet", rows.write_parquet)
 
     def compact(self) -> None:
         """Merge the parts into one file if there are many."""
@@ -125,7 +125,7 @@ class CampaignFolder:
         """Merge all parts into one file and return its rows."""
         parts, rows = self._parts(), self.read()
         if parts:
-            self._write(self.trials_file, rows)
+            _write_whole(self.trials_file, rows.write_parquet)
             for part in (*parts, *self._abandoned()):
                 part.unlink(missing_ok=True)
         return rows
@@ -145,19 +145,13 @@ class CampaignFolder:
         return sorted(self.path.glob("part-*.parquet"))
 
     def _abandoned(self) -> list[Path]:
-        """Return what processes that were killed have left: written for much longer than a part takes."""
+        """Return the unfinished files of processes that were killed: older than writing a part takes."""
         before_s, found = time.time() - _ABANDONED_S, []
         for file in self.path.glob("part-*.tmp"):
             with suppress(FileNotFoundError):  # it was finished in this moment
                 if file.stat().st_mtime < before_s:
                     found.append(file)
         return found
-
-    @staticmethod
-    def _write(file: Path, rows: pl.DataFrame) -> None:
-        temporary = file.with_suffix(f".{os.getpid()}.tmp")
-        rows.write_parquet(temporary)
-        temporary.replace(file)
 
 
 def cell_parameters(cell: Any) -> dict[str, Any]:
@@ -166,7 +160,8 @@ def cell_parameters(cell: Any) -> dict[str, Any]:
     return parameters
 
 
-def _write_whole(file: Path, content: bytes) -> None:
+def _write_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Write a file that gets its name only when it is complete."""
     temporary = file.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_bytes(content)
+    write(temporary)
     temporary.replace(file)

@@ -34,7 +34,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
 def software_digest(campaign: AnyCampaign) -> str:
     """Return SHA-256 of the sources that a campaign's trial runs, without those of tables and figures.
 
-    All sources count of another package that provides the campaign, a sensor kind or a method.
+    Of another package that provides the campaign, a sensor kind or a method, all sources count.
     """
     return _digest(campaign.trial.__module__)
 

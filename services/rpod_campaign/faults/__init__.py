@@ -1,1 +1,1 @@
-"""Faults of the catalogue, and what the estimator does during them and after."""
+"""Faults of the catalogue, and how the estimator behaves during and after them."""

@@ -11,9 +11,9 @@ from rpod_schemas.config.scenario import Scenario
 
 
 class Options(CampaignOptions):
-    """Faults of the catalogue by kind and size: shares of modes, loss and return of the track, wrong ones."""
+    """Faults of the catalogue by kind and size: shares of modes, loss of the track, wrong estimates."""
 
-    title: ClassVar[str] = "Faults: kinds and sizes, and what navigation does"
+    title: ClassVar[str] = "Faults by kind and size, and their effect on navigation"
 
     trials: Trials = 2
     target: Names = ("mockup",)

@@ -1,7 +1,7 @@
 """A sequence through messages, faults and the whole estimator, in this process.
 
 The sensor's frames become messages, the catalogue's injections change them as in the emulator, and the
-estimator reads the result. ``stop`` and ``kill`` are of the estimator itself: its frames are lost, and after
+estimator reads the result. ``stop`` and ``kill`` affect the estimator itself: its frames are lost, and after
 ``kill`` it begins anew, without a pose.
 """
 

@@ -23,5 +23,5 @@ class IntegrityCell:
 
     @property
     def start_s(self) -> float:
-        """Time of the sequence at which the fault begins."""
+        """Time in the sequence at which the fault begins, s."""
         return 0.0 if BY_NAME[self.fault].lasting else fault_start_s(self.sensor)

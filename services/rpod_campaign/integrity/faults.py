@@ -62,7 +62,7 @@ class Injector:
     Args:
         fault: name of the fault.
         size: its size, in its unit.
-        start_s: time of the sequence at which it begins; one that freezes ends after ``size``.
+        start_s: time of the sequence at which it begins; a frozen stream lasts for ``size``.
     """
 
     def __init__(self, fault: str, size: float, *, start_s: float) -> None:

@@ -97,7 +97,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
         is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
         turned[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
         frozen = mine and injector.repeats >= FROZEN_REPEATS
-        if frozen:  # as the estimator refuses it, before the navigator
+        if frozen:  # refused as by the estimator, before the navigator
             output = _refused(measurement, state)
         else:
             state, output = navigator.step(state, measurement)

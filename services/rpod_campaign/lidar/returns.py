@@ -100,8 +100,8 @@ def scan_with_returns(
 ) -> tuple[RigidTransform, LidarScan]:
     """Return a pose on the boresight and its scan, with about the wanted returns if the window allows it.
 
-    The range is corrected by the number of returns at it, since few rays of an inclined or dark surface come
-    back from afar.
+    The range is corrected by the number of returns there, since inclined or dark surfaces return few rays
+    from afar.
     """
     window, loaded = window_of(target), cached_target(target)
 

@@ -77,7 +77,7 @@ def emulator_of(
     scale: float = 1.0,
     things: Sequence[Thing] = (),
 ) -> LidarEmulator:
-    """Return the emulated LIDAR of a world, with a target larger than its model by a scale, among things."""
+    """Return the emulated LIDAR of a world; it sees the target, scaled over its model, and other things."""
     looked_at = cached_target(target)
     if scale != 1.0:
         looked_at = replace(looked_at, triangles_m=scale * looked_at.triangles_m)

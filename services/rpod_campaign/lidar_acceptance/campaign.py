@@ -10,7 +10,7 @@ from rpod_campaign.lidar_acceptance.trial import AcceptanceCell
 from rpod_target import is_shipped
 
 _OTHERS = ("envisat-slim", "envisat-bulky", "mockup")
-"""Targets that are scanned instead: one of another size, and another object."""
+"""Objects that are scanned instead of the target: one of another size, and another body."""
 
 
 def cells(options: Options) -> list[AcceptanceCell]:

@@ -163,7 +163,7 @@ def _effect(
 def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned: bool = False) -> pl.Series:
     """Return which poses at least one limit refuses; with ``warned``, also those of which a limit warns.
 
-    At a pose that is refused or warned of, no track begins.
+    No track begins at a pose that is refused or warned of.
     """
     by_any = pl.Series(np.zeros(rows.height, bool))
     for each in found:

@@ -35,7 +35,7 @@ START = "start"
 """Column that distinguishes the rows of a trial."""
 NEAR, SEARCHED, OTHER = "prediction", "search", "another satellite"
 UNAIDED = (NEAR, SEARCHED)
-"""Starts whose right poses limits are derived from; each other start may give the same pose again."""
+"""Starts from whose right poses limits are derived; every other start may give the same pose again."""
 TURNS_DEG = (8.0, 15.0, 30.0)
 """Angles by which the truth is turned about random axes."""
 _INPUTS: dict[str, type[LidarInput | PmdInput]] = {"lidar": LidarInput, "pmd": PmdInput}

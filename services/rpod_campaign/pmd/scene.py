@@ -26,7 +26,7 @@ from rpod_sim_sensor.worlds import world_of
 _CAD, _LOSS = 11, 12
 """Streams of random numbers."""
 _NOISE_SEEDS = 1_000_003
-"""Number of trials of one seed below which no two seeds share the noise of a trial."""
+"""Greatest number of trials of one seed; with more, two seeds would share the noise of a trial."""
 
 
 @dataclass(frozen=True, eq=False)

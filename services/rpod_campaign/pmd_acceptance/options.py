@@ -31,9 +31,9 @@ CaseName = Literal[
 
 
 class Options(PmdOptions):
-    """Acceptance of frames of the target and of something else."""
+    """Acceptance of frames of the target and of other objects."""
 
-    title: ClassVar[str] = "Acceptance of frames of the target and of other things"
+    title: ClassVar[str] = "Acceptance of frames of the target and of other objects"
 
     trials: Trials = 100
     ranges: Ranges = (2.1, 7.0)

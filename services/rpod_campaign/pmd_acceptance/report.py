@@ -6,7 +6,7 @@ from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.campaign import CellResult, Row
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.statistics import rate
 from rpod_campaign.pmd_acceptance.trial import OFF_DEG, OFF_M, AcceptanceCell
@@ -50,22 +50,14 @@ def sections(results: Results) -> list[Section]:
     )
     return [
         *([Section("Right frames", note + told, (_right_table(right),))] if right else []),
-        *([Section("Frames of something else", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
+        *([Section("Frames of other objects", note + alike, (_spoiled_table(spoiled),))] if spoiled else []),
     ]
 
 
 def _right_table(results: Results) -> Table:
     rows = [
-        (
-            result.cell.case,
-            judge,
-            f"{s['trials'] - s[f'{judge}_accepted']} of {s['trials']}",
-            str(rate(s["trials"] - s[f"{judge}_accepted"], s["trials"])),
-            str(s[f"{judge}_wrong_accepted"]),
-        )
-        for result in results
-        for judge in _JUDGES
-        for s in (result.summary,)
+        (case, judge, *_share(s["trials"] - s[f"{judge}_accepted"], s), str(s[f"{judge}_wrong_accepted"]))
+        for case, judge, s in _judged(results)
     ]
     columns = ("case", "judge", "not accepted", "share", "wrong accepted")
     return Table("Right frames not accepted", columns, tuple(rows)).condensed(2)
@@ -73,16 +65,18 @@ def _right_table(results: Results) -> Table:
 
 def _spoiled_table(results: Results) -> Table:
     rows = [
-        (
-            result.cell.case,
-            judge,
-            f"{s[f'{judge}_accepted']} of {s['trials']}",
-            str(rate(s[f"{judge}_accepted"], s["trials"])),
-            str(s[f"{judge}_accepted_alike"]),
-        )
-        for result in results
-        for judge in _JUDGES
-        for s in (result.summary,)
+        (case, judge, *_share(s[f"{judge}_accepted"], s), str(s[f"{judge}_accepted_alike"]))
+        for case, judge, s in _judged(results)
     ]
     columns = ("case", "judge", "accepted", "share", "of these alike")
-    return Table("Frames of something else accepted", columns, tuple(rows)).condensed(2)
+    return Table("Accepted frames of other objects", columns, tuple(rows)).condensed(2)
+
+
+def _judged(results: Results) -> list[tuple[str, str, Row]]:
+    """Return case, judge and summary for each judge of each cell."""
+    return [(result.cell.case, judge, result.summary) for result in results for judge in _JUDGES]
+
+
+def _share(count: int, summary: Row) -> tuple[str, str]:
+    """Return a count of a cell's trials, and its share with the interval, as texts."""
+    return f"{count} of {summary['trials']}", str(rate(count, summary["trials"]))

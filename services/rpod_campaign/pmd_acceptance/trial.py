@@ -39,7 +39,7 @@ OFF_DEG, OFF_M = 1.0, 0.01
 _DRAW, _START, _SUN = 0, 1, 2
 """Streams of random numbers."""
 _EXACT = PmdCheckConfig(tolerance_share=0.032)
-"""Tolerance within which two images without noise count as the same: 3 cm of the mock-up."""
+"""Tolerance within which two images without noise count as the same: 3 cm for the mock-up."""
 _EVERY = 3
 """Stride of the compared pixels, that of the tracker at 5 m: the remaining error of the pose is smaller."""
 
@@ -68,7 +68,7 @@ class AcceptanceCell:
 
     @property
     def spoiled(self) -> bool:
-        """Whether the frame shows anything but the target as the camera sees it."""
+        """Whether the frame shows something else than the target as the camera sees it."""
         looked_for = scenario_of(self.document).target
         altered = self.target != looked_for or self.world.scale != 1.0
         return altered or bool(self.flip) or self.focal_share != 1.0

@@ -17,7 +17,7 @@ Results = Sequence[CellResult[PopulationCell]]
 FAR_OFF_DEG = 10.0
 """Attitude error of an accepted pose that is more than a loss of accuracy, deg."""
 FEW, LEAST_RETURNS = 60, 6
-"""Number of returns below which a scan has few, and below which it is not among the few either."""
+"""Number of returns below which a scan counts as one of few returns, and the least number of such a scan."""
 LARGE_M = 1.0
 """Longest side from which on a satellite is at least 40 standard deviations of the LIDAR's range long, m."""
 

@@ -30,7 +30,8 @@ def inputs_of(cell: CourseCell) -> tuple[SensorInput, ...]:
 def settings_of(cell: CourseCell) -> EstimatorSettings:
     """Return the scenario's settings with the cell's sensors.
 
-    The LIDAR alone has those of a user who knows that nothing turns the target, and that its file is exact.
+    The LIDAR alone has the settings of a user who knows that the target moves without torque, and that its
+    file is exact.
     """
     if not cell.document:
         return EstimatorSettings(

@@ -1,7 +1,7 @@
 """The check of a live sensor against the interface control document, from the messages that it sent.
 
-``Observer`` takes messages and keeps little of each; ``judge`` is a pure function of what it kept. So the
-same check holds for a sensor on the bus, a recording, and a driver in a test.
+``Observer`` takes messages and keeps a few data of each; ``judge`` is a pure function of these data. So the
+same check works for a sensor on the bus, for a recording, and for a driver in a test.
 """
 
 from rpod_driver.check.judge import judge

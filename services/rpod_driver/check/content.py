@@ -21,10 +21,10 @@ _SATURATED_SHARE = 0.1
 _IMAGE_BINS, _SCAN_BINS, _LEAST_POINTS = 24, 12, 4
 """Number of blocks along each side of an image, and of a scan; number of returns of a full block."""
 _FLICKER_SHARE = 0.2
-"""Share of the full blocks of a frame that may be empty in the next one: a moving target uncovers edges."""
+"""Share of a frame's full blocks that may be empty in the next frame: a moving target uncovers edges."""
 _ROWS_SHARE = 0.15
 _CUT_SHARE = 0.04
-"""Share of cut frames that is no fault yet: single lost packets, which a track does not notice."""
+"""Share of cut frames up to which there is no fault: single lost packets, which do not affect a track."""
 _EMPTY = (Reason.NOT_FINITE, Reason.EMPTY)
 
 
@@ -52,7 +52,7 @@ def frozen(seen: Observations) -> CheckResult:
     for heard in seen.leads:
         stamps_ns.setdefault(heard.digest, set()).add(heard.stamp_ns)
     again = sum(len(stamps) - 1 for stamps in stamps_ns.values())
-    text = f"{again} of {len(seen.leads)} frames hold what another one held to the bit"
+    text = f"{again} of {len(seen.leads)} frames are identical to another frame to the bit"
     return fail(line, text, "frozen", repeated_share=again / len(seen.leads)) if again else ok(line, text)
 
 
@@ -62,7 +62,7 @@ def _has_depth(kept: Kept) -> bool:
 
 
 def _pairs(seen: Observations) -> Iterator[tuple[Kept, Kept]]:
-    """Yield successive frames, both ways."""
+    """Yield each pair of successive frames, in both orders."""
     for earlier, later in pairwise(seen.kept):
         if later.number == earlier.number + 1:
             yield earlier, later

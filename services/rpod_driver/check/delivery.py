@@ -13,11 +13,11 @@ from rpod_schemas.topics import DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF_STATIC
 from rpod_schemas.types import Health
 
 LEAST_FRAMES = 8
-"""Number of frames from which on times between them are checked."""
+"""Least number of frames for the checks of the times between them."""
 _MISSING_SHARE = 0.01
-"""Share of missing frames that is no fault yet: one in a hundred costs a track nothing."""
+"""Share of missing frames up to which there is no fault: one in a hundred does not affect a track."""
 _STALL_S, _STALL_PERIODS = 0.5, 8.0
-"""Length of a gap from which on it is a stall, s, and in periods; an estimate is valid for 0.2 s alone."""
+"""Length above which a gap is a stall, s, and in periods; an estimate stays valid for only 0.2 s."""
 _RATE_SHARE = 0.9
 _LOST_SHARE = 0.005
 _WAIT_S, _WAIT_PERIODS = 0.1, 2.0
@@ -51,7 +51,7 @@ def publisher(seen: Observations) -> CheckResult:
 
 
 def _published_instead(seen: Observations) -> str:
-    """Return what publishers there are where no frame came: a name may be wrong, or the sensor silent."""
+    """Return which publishers there are if no frame came: a name may be wrong, or the sensor silent."""
     topics = sensor_kind(seen.kind).part_topics(seen.name, seen.options.source)
     wanted = topics[seen.leading].name
     if wanted in seen.qos:

@@ -26,15 +26,15 @@ _GATES_M = (0.4, 0.4, 0.3, 0.2, 0.15, 0.1, 0.1, 0.1)
 _PRIOR = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
 """Prior standard deviations of ``Fitted.values``, wider than any calibration error."""
 _IMPLAUSIBLE = 3.0
-"""Magnitude of a value, in prior standard deviations, from which on the fit has not found the target."""
+"""Magnitude of a value, in prior standard deviations, above which the fit has not found the target."""
 _FACING = -0.4
-"""Cosine between ray and normal from which on a surface faces the sensor."""
+"""Least cosine between ray and normal of a surface that faces the sensor."""
 SIGMAS = 4.0
 _RANGE_M = 0.05
 """Greatest range error: an uncalibrated PMD camera has some centimetres (wiggling)."""
 _MOUNT_M, _MOUNT_DEG = 0.02, 1.0
-"""Greatest error of a mount across the boresight. Robots state 1.6 mm and 0.2 deg of truth; the rest is what
-an uncalibrated lens makes of the edge of an image."""
+"""Greatest error of a mount across the boresight. Robots state errors of 1.6 mm and 0.2 deg for the truth;
+the rest is the error of an uncalibrated lens at the edge of an image."""
 _CLOCK_S = 0.01
 """Greatest offset of stamps for a sensor without a long exposure, s: five standard deviations of the clock
 that the estimator assumes by default."""
@@ -46,7 +46,7 @@ UNDETERMINED = (
     "the motion does not determine time, range and mount; let the target turn more, or watch longer"
 )
 _MIRROR_SHARE = 0.6
-"""Residual of the mirrored over that of the plain points from which on they are mirrored."""
+"""Ratio of the mirrored points' residual to that of the points as sent at which they count as mirrored."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Fitted:
 
 
 def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResult]:
-    """Return the results with those that truth adds, in place of lines that were not checked without it."""
+    """Return the results, with the lines that truth decides in place of those that were not checked."""
     surface = seen.options.surface
     if surface is None or len(seen.truth) < _LEAST_POSES:
         given = surface is not None
@@ -115,7 +115,7 @@ def _other_time(results: list[CheckResult]) -> str:
 
 
 def _adds(new: CheckResult, old: CheckResult) -> bool:
-    """Return whether truth tells more than the sensor alone: also that a line in order is not."""
+    """Return whether truth tells more: the old result is unchecked, or only the new one is a failure."""
     return old.level is Level.UNCHECKED or (new.level is Level.FAIL and old.level is not Level.FAIL)
 
 
@@ -215,7 +215,7 @@ def _distances(sighting: Sighting, values: FloatArray, surface: Surface, mount: 
 
 
 def _checked(seen: Observations, fit: Fitted) -> list[CheckResult]:
-    """Return the lines that a fit judges."""
+    """Return the results that follow from a fit."""
     dt_s, range_m = fit.values[:2]
     sigmas = fit.sigmas
     return [

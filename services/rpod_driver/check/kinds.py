@@ -12,7 +12,7 @@ from rpod_schemas.sensors import sensor_kind
 
 @dataclass(frozen=True)
 class KindChecks:
-    """What is checked of the sensors of one kind beside what is checked of all."""
+    """Checks for the sensors of one kind, beside those for all sensors."""
 
     lines: tuple[Callable[[Observations], CheckResult], ...] = (setup.mirrored,)
     """Functions that return a line each, in the order of the catalogue."""
@@ -31,7 +31,7 @@ PMD_CHECKS = KindChecks(
 
 
 def checks_of(kind: str) -> KindChecks:
-    """Return the checks of a kind, those of any sensor for a kind that names none."""
+    """Return the checks of a kind; for a kind without checks of its own, those for any sensor."""
     reference = sensor_kind(kind).checks
     checks: KindChecks = resolve(reference) if reference else KindChecks()
     return checks

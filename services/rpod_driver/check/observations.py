@@ -1,4 +1,4 @@
-"""The messages of a sensor: a little of each, and some frames in full.
+"""The messages of a sensor: a few data of each, and some whole frames.
 
 A camera sends a gigabyte in half a minute. So only stamp, arrival, number and digest of each message are
 kept, and one pair of successive frames in 0.7 s.
@@ -109,21 +109,21 @@ class Observations:
     heard: list[Heard] = field(default_factory=list)
     kept: list[Kept] = field(default_factory=list)
     refused: list[tuple[Reason, str]] = field(default_factory=list)
-    """Why frames could not be read."""
+    """Reasons why frames could not be read."""
     frames: int = 0
     """Number of complete frames."""
     given_up: list[GivenUp] = field(default_factory=list)
     raw_middle_m: list[float] = field(default_factory=list)
     """Median distance in the leading message of refused frames, as it was sent."""
     said: Any = None
-    """What the sensor says of itself, or what its frames show of it."""
+    """Properties of the sensor as it states them, or as its frames show them."""
     infos: list[tuple[Peer, Any]] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
-    """Lenses, each time one came that differs from the one before."""
+    """Lenses, one for each change."""
     mounts: list[tuple[Peer, str, str, Any]] = field(default_factory=list)
     frame_ids: set[str] = field(default_factory=set)
     qos: dict[str, set[Offer]] = field(default_factory=dict)
-    """What publishers' tokens offer, by topic; also of topics of other nodes."""
+    """Qualities of service in the publishers' tokens, by topic; also of topics of other nodes."""
     truth: list[Odometry] = field(default_factory=list)
     estimates: list[Odometry] = field(default_factory=list)
     """Poses by the estimator of another sensor."""

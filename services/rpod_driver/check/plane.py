@@ -27,7 +27,8 @@ _CURVED = 0.25, 2.0
 """Limits of the difference of both mean squares, over the squared curvature of a plane that is read wrongly:
 a plane has 1. Beyond them the surface is no plane, or its noise hides the difference."""
 _LEAST_FRAMES, _AGREE = 3, 0.8
-"""Number of frames that show a plane, and share of them that agree: neighbours show the same place."""
+"""Least number of frames that show a plane, and least share of them that agree: successive frames show the
+same place."""
 
 
 def depth_model(seen: Observations) -> CheckResult:
@@ -55,7 +56,7 @@ def depth_model(seen: Observations) -> CheckResult:
 
 
 def _curved(as_z: float, as_radial: float, contrast: float) -> float:
-    """Return how much flatter a surface is as z-depth, over what a plane is: 1 for z-depth, -1 for radial."""
+    """Return how much flatter a surface is as z-depth, relative to a plane: 1 for z-depth, -1 for radial."""
     return (as_radial**2 - as_z**2) / contrast**2
 
 

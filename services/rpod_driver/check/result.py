@@ -12,13 +12,13 @@ class Level(StrEnum):
     """Result of one line."""
 
     OK = "ok"
-    """Looked at, and in order."""
+    """Checked, and right."""
     NOTE = "note"
-    """Looked at, and in order; the text says what to know."""
+    """Checked, and right, with a remark in the text."""
     FAIL = "fail"
     """Wrong."""
     UNCHECKED = "not checked"
-    """Not visible in what came; the text says why, and what would show it."""
+    """The frames do not show it; the text says why, and what would show it."""
 
 
 class CheckResult(Config):

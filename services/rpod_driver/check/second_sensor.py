@@ -1,4 +1,4 @@
-"""The line that compares a sensor's mount with a second sensor, by the estimate that the latter gives.
+"""The line that compares a sensor's mount with that of a second sensor, by an estimate from the latter.
 
 An estimator tracks the target with the second sensor alone. The points of the checked sensor are compared
 with the target at its poses, as they are with truth. The result is the difference of the two mounts: only
@@ -24,7 +24,8 @@ from rpod_schemas.types import Odometry
 _LINE = "mount_second"
 _LEAST_POSES = 3
 _CLOCKS_S = 0.02
-"""Greatest difference of two sensors' stamps, s: twice what one clock may be off beside truth."""
+"""Greatest offset between the stamps of two sensors, s: twice the offset of one clock allowed beside
+truth."""
 _GAP_S = 1.1
 """Longest time between two estimates: scanners turn at 1 Hz. At 8 deg/s the interpolation is off by
 (8 deg/s)^2 (1.1 s)^2 / 8 = 0.17 deg, a sixth of what a mount may be off."""

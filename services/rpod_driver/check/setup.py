@@ -1,4 +1,4 @@
-"""Lines about what describes a sensor: axes, scan pattern, times of points, lens, mount, QoS."""
+"""Lines about a sensor's description: axes, scan pattern, times of points, lens, mount, QoS."""
 
 from typing import Any
 
@@ -17,7 +17,8 @@ from rpod_schemas.types import LidarInfo, LidarScan, SensorInfo
 _FULL_TURN = 0.9
 """Length of the mean direction below which a scanner looks all around."""
 _SLOPE, _OFFSET_STEPS = 0.05, 0.5
-"""Deviation of measured from stated directions, of the spacing and in steps; half a step is another ray."""
+"""Greatest deviation of measured from stated directions, relative to the spacing and in steps; half a step is
+another ray."""
 _CENTRE_SHARE = 0.25
 """Distance of the principal point from the middle, over the image's size; real ones have a few percent."""
 _TIME_SHARES = (0.05, 1.2)

@@ -22,14 +22,14 @@ period, which the motor of a turning scanner keeps."""
 _DRIFT_PPM = 50.0
 """Greatest drift that an undisciplined quartz has over temperature; a synchronised one has none."""
 _NO_CLOCK_PPM = 1e5
-"""Drift that no clock has: one that counts 1024 for 1000 has a quarter of it."""
+"""Drift that no clock has: even a clock that counts 1024 for 1000 has only a quarter of it."""
 _DRIFT_SIGMAS = 5.0
 _DRIFT_S, _STRETCHES, _LEAST_STRETCHES = 8.0, 8, 6
-"""Time that a drift needs, s; number of stretches whose least ages are compared, and least number of them.
-Long ones hold the shortest delay even on a loaded machine."""
+"""Least time for a drift, s; number of stretches whose least ages are compared, and least number of them.
+Long stretches contain the shortest delay even on a loaded machine."""
 _EVEN = 0.5
-"""Least ratio of the movements of the ages from the first to the second third of the time and on to the last,
-for them to be one drift: a load that comes and goes moves them unevenly."""
+"""Least ratio of the two changes of the ages, from the first to the second third of the time and from there
+to the last, for a drift: a load that comes and goes changes them unevenly."""
 _MOST_PARTS = 4
 _TAI_WITHIN_S = 1.0
 
@@ -114,7 +114,7 @@ def clock(seen: Observations) -> CheckResult:
 def _delayed(
     seen: Observations, line: str, least_s: float, middle_s: float, figures: dict[str, float]
 ) -> CheckResult:
-    """Return why frames come too late for another reason than the clock: some of them come in time."""
+    """Return why frames are late for another reason than the clock; then some of them come in time."""
     waits_s = np.array([heard.arrival_ns - (heard.sent_ns or heard.stamp_ns) for heard in seen.leads])
     on_link = all(heard.sent_ns for heard in seen.leads) and 2.0 * np.median(waits_s) > middle_s * NANOSECONDS
     where = "on the link" if on_link else "before they are sent: sensor, driver or machine are too slow"

@@ -11,7 +11,7 @@ from rpod_schemas.types import Camera, PmdFrame
 
 
 class RecordedFrames:
-    """A camera whose frames stand in a NumPy file: stamp_ns, depth_m, amplitude, camera (fx, fy, cx, cy)."""
+    """A camera whose frames are in a NumPy file: stamp_ns, depth_m, amplitude, camera (fx, fy, cx, cy)."""
 
     def __init__(self, path: str) -> None:
         self._path = path

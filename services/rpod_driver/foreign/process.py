@@ -31,7 +31,7 @@ _POLL_S = 0.5
 _END_S = 2.0
 """Time in which a process ends after its input was closed, s."""
 _INHERITED = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "CONDA_PREFIX")
-"""Variables of this process's own environment of packages, which the other one must not see."""
+"""Variables that describe this process's Python environment, which the driver process must not get."""
 _INFO: dict[str, type[LidarInfo] | type[PmdInfo]] = {"lidar": LidarInfo, "pmd": PmdInfo}
 _FRAME: dict[str, type[LidarScan] | type[PmdFrame]] = {"lidar": LidarScan, "pmd": PmdFrame}
 
@@ -75,7 +75,7 @@ class ForeignDriver:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                start_new_session=True,  # the terminal's Ctrl-C is for the host, which ends the process
+                start_new_session=True,  # Ctrl-C goes to the host alone, which ends the process
             )
         except OSError as error:
             raise ForeignDriverError(
@@ -143,7 +143,7 @@ class ForeignDriver:
         return message
 
     def _ending(self) -> str:
-        """Return how the process ended, after its last words came."""
+        """Return how the process ended, after its last lines have arrived."""
         try:
             how = f"ended with exit code {cast(subprocess.Popen[bytes], self._process).wait(_END_S)}"
         except subprocess.TimeoutExpired:

@@ -1,4 +1,4 @@
-"""Trajectories whose chaser turns: with the target, as it flies around it, or to and fro at its place."""
+"""Trajectories on which the chaser turns: with the target as it flies around it, or to and fro."""
 
 from dataclasses import dataclass, field, replace
 from math import cos, pi, sin

@@ -1,9 +1,9 @@
 """The login in front of a web viewer that other machines can reach.
 
-Rerun's servers have no login, so they listen on this machine alone. The gate passes on what a browser asks
-that has given the token, and nothing else. Page and data come from one port, because a browser sends its
-cookie only to the address that has set it. The token stands in a file, never in an address, a log line or a
-process argument. The connection is not encrypted: an SSH tunnel is better where others read the network.
+Rerun's servers have no login, so they listen on this machine alone. The gate passes on the requests of a
+browser that has given the token, and nothing else. Page and data come from one port, because a browser sends
+its cookie only to the address that has set it. The token stands in a file, never in an address, a log line or
+a process argument. The connection is not encrypted: an SSH tunnel is better where others read the network.
 """
 
 import hmac
@@ -37,13 +37,13 @@ _LEAST_CHARACTERS = 16
 _MOST_CONNECTIONS = 64
 """Largest number of connections at a time; a browser opens six."""
 _SILENT_S = 60.0
-"""Time after which a connection is closed that sends nothing, s."""
+"""Time without data after which a connection is closed, s."""
 _MOST_BYTES = 1 << 16
 """Largest request: a browser sends a question of some bytes, and never data."""
 _CHUNK_BYTES = 1 << 16
 """Most bytes that are passed on at once."""
 _DATA, _WRITING = "/rerun.", "/Write"
-"""Beginning of the path of each request for Rerun's data, and the part that only those have that write."""
+"""Beginning of the path of each request for Rerun's data, and the part that only writing requests contain."""
 _OWN_LINK = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 """Headers that belong to one link and are not passed on."""
 _LOGIN = """<!doctype html><title>rpod view</title>
@@ -114,7 +114,7 @@ class Gate:
         if not _same(request.cookies.get(_COOKIE, ""), self._session):
             return Response(_LOGIN, 401, content_type="text/html")
         if _WRITING in request.path or request.method not in ("GET", "POST"):
-            return Response("this view is to be looked at, not to be written to\n", 403)
+            return Response("this view is read-only: nothing can be written to it\n", 403)
         if request.path == "/" and "url" not in request.args:
             return _to_page(request)
         return self._pass_on(request)

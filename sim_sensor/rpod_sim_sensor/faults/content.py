@@ -1,4 +1,4 @@
-"""Faults of what a frame holds: lost, frozen or wrong pixels and points, and wrong axes."""
+"""Faults of a frame's content: lost, frozen or wrong pixels and points, and wrong axes."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -299,7 +299,7 @@ class WrongEncoding(Content):
 
 
 class WrongSize(Content):
-    """Images of half the size, with the camera_info of the whole."""
+    """Images of half the size, with the camera_info of the full size."""
 
     fault = "wrong_size"
     changes = ("depth", "image", "amplitude")

@@ -40,7 +40,7 @@ class Outgoing:
 
     @property
     def latched(self) -> bool:
-        """Whether it describes the sensor, and is no part of a frame."""
+        """Whether the message describes the sensor and is no part of a frame."""
         return self.part in (TF_STATIC.name, "info")
 
 

@@ -1,4 +1,4 @@
-"""Faults of what describes a sensor: its lens, its scan pattern, its mount, and how they are published."""
+"""Faults of a sensor's description: its lens, its scan pattern, its mount, and how they are published."""
 
 from dataclasses import replace
 

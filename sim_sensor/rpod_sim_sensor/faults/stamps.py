@@ -126,7 +126,7 @@ class RepeatedStamps(Injection):
 
 
 class ReorderedStamps(Injection):
-    """Each fifth frame carries a stamp of before the last one."""
+    """Each fifth frame carries a stamp that is older than the last one."""
 
     fault = "reordered_stamps"
 
@@ -136,7 +136,7 @@ class ReorderedStamps(Injection):
         self._frames = 0
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
-        """Return the part, under an older stamp where it is its frame's turn."""
+        """Return the part; in each fifth frame, under an older stamp."""
         if outgoing.stamp_ns not in self._stamps_ns:
             self._frames += 1
             self._stamps_ns.append(outgoing.stamp_ns)

@@ -63,14 +63,13 @@ class LidarEmulator:
         world: World = DOCUMENTED,
         surroundings: Sequence[Thing] = (),
     ) -> None:
-        config, target = world.lidar_config(config), world.target(target)
+        config = world.lidar_config(config)
         self._config, self._seed, self._world = config, seed, world
         self._surroundings = surroundings
-        self._seen = scenery(target, surroundings, config.T_chaser_sensor)
+        self.show(target)
         self._whole, self._rows = _grids(config, 0.0)
         self._beside = _grids(config, 0.5 * world.lidar.footprint_rad)
         self._time_s = config.ray_times_s().astype(np.float32)
-        self._reflectivity = _reflectivity(config, self._seen)
 
     def show(self, target: Target) -> None:
         """Show another target from now on, such as the same one at another angle of its joints."""

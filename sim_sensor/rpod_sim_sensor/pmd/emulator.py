@@ -68,7 +68,7 @@ class PmdExposure:
 
 
 class PmdEmulator:
-    """A PMD camera that looks at a target; a frame is the same in whatever order frames are made.
+    """A PMD camera that looks at a target; the order in which frames are made does not change them.
 
     Args:
         config: configuration of the documented camera, from which its info message is made.
@@ -91,13 +91,12 @@ class PmdEmulator:
         world: World = DOCUMENTED,
         surroundings: Sequence[Thing] = (),
     ) -> None:
-        config, target = world.camera_config(config), world.target(target)
+        config = world.camera_config(config)
         self._config, self._seed, self._world = config, seed, world
         self._surroundings = surroundings
-        self._seen = scenery(target, surroundings, config.T_chaser_sensor)
+        self.show(target)
         self._rays = RayGrid.pinhole(config.camera, config.subsamples).in_single_precision()
         self._centres = RayGrid.pinhole(config.camera).in_single_precision()
-        self._scene = Scene(self._seen, config.sub_exposures)
         self._electronics = Electronics.of(config)
         self._hits = Hits.of(self._rays)
         self._still = cast(self._rays, self._seen.still_m, RigidTransform.identity())

@@ -25,7 +25,7 @@ def mean_light_e(modulated_e: Float32Array, charge_e: Float32Array) -> FloatArra
 def exposure_share(
     modulated_e: Float32Array, charge_e: Float32Array, config: PmdConfig, electronics: Electronics
 ) -> float:
-    """Return the share of the profile's time at which few lit pixels lose depth, a power of 1 / sqrt(2).
+    """Return the share of the profile's time at which few lit pixels lose depth: a power of 1 / sqrt(2).
 
     A pixel is lit if it has a depth at some time between the profile's and the shortest.
 

@@ -1,4 +1,4 @@
-"""The target's surfaces in an exposure; only those that a ray hits are placed.
+"""The target's surfaces in an exposure. The planes of a triangle are computed only if a ray hits it.
 
 A mesh may have a hundred thousand triangles, and an image shows only a part of them. So a triangle's planes
 are computed for the first pixel that hits it, and stored for the other pixels of the frame.
@@ -37,8 +37,8 @@ class Surfaces(NamedTuple):
     """Diffuse albedo, specular reflectance, squared width of the lobe, patches per metre, and tilt of a patch
     in rad, shape (M, 5)."""
     rotations: FloatArray
-    """R_optical_target in the middle of the exposure, then in each sub-exposure; behind them identity, for
-    what stands still; shape (2, K + 1, 3, 3)."""
+    """R_optical_target in the middle of the exposure, then in each sub-exposure; then as many identities, for
+    things that stand still; shape (2, K + 1, 3, 3)."""
     positions_m: FloatArray
     """t_optical_target at the same times, then zeros, shape (2, K + 1, 3)."""
     R_lattice_optical: FloatArray

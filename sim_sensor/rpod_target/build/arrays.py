@@ -92,7 +92,7 @@ class _Surface:
     material: NDArray[np.int32]
     seen: NDArray[np.bool_]
     back_parts: NDArray[np.int32]
-    """Index of the part whose backs are each part beyond the parameters' parts, shape (B,)."""
+    """For each part beyond those of the parameters, the index of the part whose back it is, shape (B,)."""
 
 
 def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> None:
@@ -153,7 +153,7 @@ def _both_sides(shown: Sequence[tuple[Piece, Sides]], parameters: TargetParamete
 def _wireframe(
     shown: Sequence[tuple[Piece, Sides]], bodies: Bodies, parameters: TargetParameters, *, nudge_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return creases of all pieces without those inside a body; a rim on another part's face is kept."""
+    """Return the creases of all pieces that are not inside a body; a rim on another part's face is kept."""
     angle_rad = np.deg2rad(parameters.edge_crease_deg)
     found = []
     for piece, sides in shown:

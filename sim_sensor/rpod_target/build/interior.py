@@ -15,12 +15,12 @@ _RAYS = 3
 _INSIDE = 0.5
 """Winding number above which a place is inside."""
 _SEEN = 0.1
-"""Share of all directions that see a place, above which it is not inside of an open surface."""
+"""Share of all directions from which a place is seen above which it is not inside an open surface."""
 
 _DISAGREE = 1e-3
 """Share of places where rays and winding number disagree, above which a surface cuts through itself."""
 _PLACES = 4000
-"""Number of triangles of a surface beside which they are compared."""
+"""Number of triangles of a surface at which rays and winding number are compared."""
 
 Inside = Callable[[NDArray[np.floating]], NDArray[np.bool_]]
 
@@ -53,7 +53,7 @@ class Body:
 
     @classmethod
     def of_open_surface(cls, triangles_m: FloatArray, sky: Sky) -> "Body":
-        """Return open surfaces: inside is what they enclose and hardly any direction sees."""
+        """Return open surfaces: a point is inside if they enclose it and hardly any direction sees it."""
 
         def inside(points_m: NDArray[np.floating]) -> NDArray[np.bool_]:
             enclosed = winding_number(triangles_m, points_m) > _INSIDE
@@ -101,8 +101,8 @@ class Bodies:
     ) -> DistanceField:
         """Return the minimum of the bodies' signed distances on a grid.
 
-        Outside all of them that is the distance to the nearest surface of any, one query for all;
-        only the few nodes inside a body need that body's own distance.
+        Outside all bodies this minimum is the distance to the nearest surface, one query for all of them.
+        Only the few nodes inside a body need that body's own distance.
         """
         axes = [
             (origin + spacing_m * np.arange(n)).astype(np.float32)

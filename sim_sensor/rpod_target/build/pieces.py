@@ -36,9 +36,10 @@ NUDGE = 1e-4
 _MOST_BODIES = 100
 """Number of closed surfaces of a file that are bodies of their own, the largest; the others are one body."""
 _SEEN = 0.5 / 128
-"""Share of the directions that see a side, above which it is a surface of the target: one direction."""
+"""Share of the directions that see a side above which the side is a surface of the target: one direction."""
 _CLEARLY = 1.2
-"""Visibility of a patch's back over that of its front, above which the patch faces the wrong way."""
+"""Ratio of the visibility of a patch's back to that of its front above which the patch faces the wrong
+way."""
 
 _ERROR = 1e-3
 """Largest error of the simplification, over the longest side of the file's bounding box."""

@@ -47,7 +47,7 @@ def spread_over(triangles_m: FloatArray, count: int) -> tuple[FloatArray, Indice
     number = np.arange(count) + 0.5
     triangle = np.searchsorted(cumulative, number / count * cumulative[-1])
     u, v = np.mod(number / _PLASTIC, 1.0), np.mod(number / _PLASTIC**2, 1.0)
-    folded = u + v > 1.0  # the half of the unit square that lies beyond the triangle
+    folded = u + v > 1.0  # points in the half of the unit square outside the triangle
     u, v = np.where(folded, 1.0 - u, u), np.where(folded, 1.0 - v, v)
     weights = np.stack([1.0 - u - v, u, v], axis=1)
     return np.einsum("nc,ncd->nd", weights, triangles_m[triangle]), triangle

@@ -73,7 +73,7 @@ def cylinder_surface(part: CylinderParameters) -> Surface:
 
 
 def _revolved(sides: int, *, base_radius_m: float, top_radius_m: float, length_m: float) -> FloatArray:
-    """Return base sectors, two halves of each lateral face, top sectors; a pointed cone has no top."""
+    """Return the sectors of the base, two halves of each lateral face, and the sectors of the top, if any."""
     angle = np.arange(sides) * (2.0 * np.pi / sides)
     ring = np.stack([np.zeros(sides), np.cos(angle), np.sin(angle)], axis=1)
     foot, tip = np.zeros((sides, 3)), np.tile([length_m, 0.0, 0.0], (sides, 1))

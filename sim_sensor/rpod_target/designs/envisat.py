@@ -1,4 +1,4 @@
-"""ENVISAT in detail, from its published dimensions; what is not published is assumed, and said to be."""
+"""ENVISAT in detail, from its published dimensions; other dimensions are assumed, and marked as such."""
 
 from dataclasses import dataclass
 

@@ -47,7 +47,7 @@ class DraftOptions:
     units: str | None = None
     """Unit of the file's coordinates, one of ``METRES``."""
     longest_side_m: float | None = None
-    """Length of the longest side of the bounding box; it decides where a unit is given too."""
+    """Length of the longest side of the bounding box; it takes precedence over a unit."""
     name: str | None = None
     """Name of the target; by default that of the file."""
     mass_kg: float | None = None
@@ -78,7 +78,7 @@ def draft(
         options: what the CAD file does not say.
         cache: directory of the built targets.
         symmetries: returns the symmetries of a target; by default the exact ones, by its shape alone.
-        say: is told which step begins, in words.
+        say: function that is called with a description of each step as it begins.
 
     Raises:
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
@@ -95,7 +95,7 @@ def draft(
         out.write_text(sections.text(()), encoding="utf-8")
         say(f"building the target of {len(mesh.triangles):,} triangles: edges, model points, distance field")
         target = load_target(out, cache=cache, read={sections.file: mesh})
-        say("looking for symmetries, and which of them a LIDAR and a camera would mistake")
+        say("looking for symmetries, and for those that a LIDAR or a camera cannot tell apart")
         return sections, [one for one in (symmetries or _by_shape)(target) if one.mistaken]
 
     try:
@@ -117,7 +117,7 @@ def draft(
 
 
 def _keep(before: bytes | None, out: Path) -> list[str]:
-    """Keep the file that another text replaced, since it may have been corrected by hand; say so."""
+    """Keep the file that the new text replaces, since it may have been corrected by hand; say where."""
     if before is None or before == out.read_bytes():
         return []
     kept = out.with_name(f"{out.name}.bak")

@@ -1,7 +1,7 @@
 """Optical properties that are proposed for a material of a mesh file, from its name and colour.
 
-A colour says little about the reflectance at a laser's or a lamp's wavelength, so that there are five kinds
-only. They are meant to be corrected by hand.
+A colour says little about the reflectance at a laser's or a lamp's wavelength, so there are only five kinds.
+The proposals are meant to be corrected by hand.
 
 | kind | chosen by the name, else by the colour |
 |---|---|
@@ -27,7 +27,7 @@ class ProposedMaterial(NamedTuple):
 
     parameters: MaterialParameters
     reason: str
-    """Kind, and what it follows from."""
+    """Kind of the material, and why it was chosen."""
 
 
 _FOIL = MaterialParameters(reflectivity=0.5, diffuse=0.12, f0=0.75, roughness=0.06, crinkle_deg=3.0)

@@ -31,7 +31,7 @@ NO_CORNER = "has a face with a corner that is not in the file: export it again"
 
 def libraries(content: bytes) -> tuple[str, ...]:
     """Return the names of the material libraries of a file."""
-    found = _LIBRARY.findall(content) if b"mtllib" in content else []  # a search takes a second of 200 MB
+    found = _LIBRARY.findall(content) if b"mtllib" in content else []  # a search of 200 MB takes a second
     return tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in found))
 
 

@@ -5,15 +5,16 @@ The order, and what each step is for:
 1. Corners closer than a millionth of the size are one corner; those of open edges, closer than 1e-4 of
    it.
 2. Triangles with two equal corners are left out: no surface is lost.
-3. A triangle that stands several times is kept once. Two that face opposite ways are both kept if the surface
-   is closed with them; otherwise one is.
+3. A triangle that occurs several times is kept once. Two that face opposite ways are both kept if the surface
+   is closed with them; otherwise one of them is kept.
 4. A triangle whose three corners lie on a line is removed by splitting its neighbour there, so that the
    surface stays as closed as it was.
 5. Neighbours that run in opposite senses are turned alike, by patches whose edges have two triangles.
 6. A closed surface that faces inwards is turned outwards.
 
-No triangle is added and no hole is filled: what sensors see stays what the file shows. A surface that is
-still open after this is called loose; ``rpod_target.visibility`` turns it outwards and finds what is inside.
+No triangle is added and no hole is filled, so that sensors see the surfaces of the file and no others. A
+surface that is still open after this is called loose; ``rpod_target.visibility`` turns it outwards and finds
+what is inside.
 """
 
 from dataclasses import dataclass, replace
@@ -110,7 +111,7 @@ def turned(mesh: RepairedMesh, which: NDArray[np.bool_]) -> RepairedMesh:
 
 
 def _stitched(index: Indices, corners: FloatArray, told: list[str]) -> tuple[Indices, NDArray[np.bool_]]:
-    """Return the corner numbers with near corners of open edges made one, and which triangles moved by it."""
+    """Return the corner numbers with near corners of open edges joined, and which triangles this moves."""
     edge, low_first = _edge_keys(index)
     is_open = np.bincount(edge, weights=np.where(low_first, 1.0, -1.0))[edge] != 0.0
     rim = np.unique(directed_edges(index)[is_open])
@@ -190,7 +191,7 @@ def _without_doubles(
         first = np.zeros(len(index), bool)
         first[np.unique(inverse, return_index=True)[1]] = True
         kept &= ~once | first
-    _tell(told, np.count_nonzero(~kept), "triangles that stand several times were kept once")
+    _tell(told, np.count_nonzero(~kept), "triangles that occur several times were kept once")
     return index[kept], origin[kept]
 
 

@@ -14,7 +14,8 @@ from rpod_target.mesh.topology import Indices, welded
 from rpod_target.visibility import as_tensor, scene_of
 
 ENOUGH = 20_000
-"""Number of triangles above which a mesh is simplified: each frame of an emulated sensor looks at all."""
+"""Number of triangles above which a mesh is simplified: an emulated sensor examines all of them in each
+frame."""
 _STEPS = (ENOUGH, 50_000, 120_000, 300_000)
 _PLACES = 200_000
 """Number of places of each surface whose distance from the other one is measured."""

@@ -36,10 +36,10 @@ def volume_m3(triangles_m: FloatArray) -> float:
 def welded(triangles_m: FloatArray) -> Indices:
     """Return corner indices, shape (T, 3): equal corners have equal indices, numbered as they first occur."""
     corners = triangles_m.reshape(-1, 3)
-    if not len(corners):  # a part all of whose triangles stand in another part too
+    if not len(corners):  # a part whose triangles all occur in another part too
         return np.zeros((0, 3), np.int64)
     tolerance_m = _WELD * np.ptp(corners, axis=0).max()
-    single, number = _once_each(corners)  # most corners stand several times, bit for bit
+    single, number = _once_each(corners)  # most corners occur several times, identical to the bit
     pairs = cKDTree(single).query_pairs(tolerance_m, output_type="ndarray")
     return components(pairs, size=len(single))[number].reshape(-1, 3)
 

@@ -1,4 +1,4 @@
-"""Detail of the random satellites: the crinkles of foil, screws, and as many triangles as CAD has."""
+"""Detail of the random satellites: the crinkles of foil, screws, and as many triangles as CAD files have."""
 
 from dataclasses import replace
 

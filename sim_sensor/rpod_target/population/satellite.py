@@ -25,7 +25,7 @@ SMALL_SIZES_M = (0.2, 3.0)
 TRIANGLES = (1_000, 200_000)
 """Least and greatest number of triangles; the logarithm is uniform."""
 _STREAM = 2026
-"""First number of the seeds of all satellites, so that no campaign's own numbers are theirs."""
+"""First number in the seeds of all satellites, so that no campaign draws the same random numbers."""
 _KIND_SHARES = (0.3, 0.15, 0.15, 0.2, 0.2)
 _ARRAYS: tuple[equipment.Arrays, ...] = ("none", "one", "two", "asymmetrical")
 _ARRAY_SHARES = (0.15, 0.2, 0.4, 0.25)
@@ -80,7 +80,7 @@ def random_satellite(
         population: derive, from which limits may be derived, or report, for reported figures only.
         seed: seed of the population.
         index: number of the satellite, from 0.
-        small: whether its longest side is 0.2 to 3 m; all else is as for the one that is not small.
+        small: whether its longest side is 0.2 to 3 m; everything else equals the satellite that is not small.
     """
     generator = np.random.default_rng((_STREAM, POPULATIONS.index(population), seed, index))
     design = _design(generator, SMALL_SIZES_M if small else SIZES_M)
@@ -136,8 +136,8 @@ def _design(generator: Generator, sizes_m: tuple[float, float]) -> _Design:
 def _symmetry(body: MainBody, arrays: equipment.Arrays, *, plain: bool, along: float) -> _Symmetry | None:
     """Return the symmetry of a body with its arrays alone, up to the materials of a panel's two sides.
 
-    The plain satellite's two arrays are a half turn about x apart. All others have panels that a half turn
-    about y, along which the arrays stand, maps onto themselves if the arrays stand at the body's middle.
+    The plain satellite's two arrays are a half turn about x apart. In all others a half turn about y, the
+    direction of the arrays, maps each panel onto itself if the arrays stand at the body's middle.
     """
     if body.kind == "truss":
         return None

@@ -368,7 +368,7 @@ def test_an_acceptance_campaign_counts_right_frames_and_frames_of_something_else
     assert (larger["acquisition_accepted"], larger["tracker_accepted"]) == (0, 0)
     assert results[0].rows["tracker_alike"].to_list() == [True]
     titles = [section.title for section in pmd_acceptance.sections(results)]
-    assert titles == ["Right frames", "Frames of something else"]
+    assert titles == ["Right frames", "Frames of other objects"]
 
 
 def test_the_cases_of_the_command_line_are_those_of_the_trials():

@@ -52,7 +52,7 @@ _MOST_GAP = 2.5
 
 
 def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions | None = None) -> HandEye:
-    """Return mount, holder, clock and depth offset that explain a sensor's poses by the truth.
+    """Return the mount, holder, clock and depth offset with which the truth best explains a sensor's poses.
 
     Args:
         measured: poses T_sensor_target with the sensor's stamps.
@@ -60,8 +60,8 @@ def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions
         known: prior knowledge.
 
     Raises:
-        CalibrationError: the poses are too few, or the motion does not tell the mount; the text says which
-            motion is missing.
+        CalibrationError: the poses are too few, or the motion does not determine the mount; the text says
+            which motion is missing.
     """
     known = known or Assumptions()
     measured, truth = measured.in_order(), truth.in_order()
@@ -85,7 +85,7 @@ def _fit_from(
 ) -> HandEye | CalibrationError:
     try:
         found = _fit_pairs(measured, truth, known, offset_s)
-        if abs(found.state.offset_s - offset_s) > TWIST_S:  # other pairs have truth around them
+        if abs(found.state.offset_s - offset_s) > TWIST_S:  # then other pairs have truth around them
             found = _fit_pairs(measured, truth, known, found.state.offset_s)
         return found
     except CalibrationError as error:

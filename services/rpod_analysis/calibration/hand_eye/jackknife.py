@@ -10,7 +10,8 @@ from scipy.linalg import eigh
 from rpod_schemas.arrays import FloatArray
 
 _BLOCKS = 15
-"""Number of blocks of the jackknife: 4 s of a minute, longer than errors of a pose stay the same."""
+"""Number of blocks of the jackknife: of a minute, 4 s each, longer than the errors of poses are
+correlated."""
 
 
 def independent_covariance(information: FloatArray, prior: FloatArray, scale: float) -> FloatArray:
@@ -26,7 +27,7 @@ def lasting_covariance(
 ) -> FloatArray:
     """Return the covariance from the solutions that lack one block of time each, to first order.
 
-    It is at least that of independent errors, since few blocks tell little of the directions in which the
+    It is at least that of independent errors, since few blocks say little about the directions in which the
     parameters are known worst.
     """
     whole = information.sum(axis=0) + prior

@@ -66,7 +66,7 @@ def poses_of(log: Log, name: str | None, config: EstimatorConfig | None = None) 
         return LoggedPoses(_estimates(log, sensor), truth, sensor, sensor.source, RANGE_OFFSET_SIGMA_M, True)
     measuring = inputs[0]
     if sensor.T_chaser_sensor is None and measuring.T_chaser_sensor is None:
-        measuring = measuring.model_copy(update={"T_chaser_sensor": make_pose()})  # any mount does
+        measuring = measuring.model_copy(update={"T_chaser_sensor": make_pose()})  # any mount will do here
     measured = _measurements(log, config.model_copy(update={"sensors": (measuring,)}))
     return LoggedPoses(measured, truth, sensor, measuring.source, measuring.range_offset_sigma_m, False)
 

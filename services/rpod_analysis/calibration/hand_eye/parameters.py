@@ -1,4 +1,4 @@
-"""Parameters of a hand-eye calibration: their places, their values, and the result of a fit."""
+"""Parameters of a hand-eye calibration: their indices, their values, and the result of a fit."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from rpod_schemas.arrays import FloatArray
 MOUNT_M, MOUNT_RAD, HOLDER_M, HOLDER_RAD = (slice(start, start + 3) for start in (0, 3, 6, 9))
 MOUNT, HOLDER = slice(0, 6), slice(6, 12)
 OFFSET, DRIFT, DEPTH = 12, 13, 14
-"""Places of the parameters: m and rad of mount (chaser axes) and holder (holder axes), then s, s/s and m."""
+"""Indices of the parameters: m and rad of mount (chaser axes) and holder (holder axes), then s, s/s and m."""
 PARAMETERS = 15
 
 
@@ -64,7 +64,7 @@ class HandEye:
     middle_ns: int
     """Stamp of the sensor in the middle of the poses, at which the offset is given."""
     covariance: FloatArray
-    """Covariance of all 15 parameters, see the places above; zero for those that were kept."""
+    """Covariance of all 15 parameters, by the indices above; zero for those that were kept."""
     independent: FloatArray
     """Covariance if errors were independent and of the residuals' own size: the Cramer-Rao bound of normal
     ones, shape (15, 15)."""
@@ -74,11 +74,11 @@ class HandEye:
     unused: int
     """Number of poses of the sensor without truth around them."""
     outliers: int
-    """Number of pairs that do not count."""
+    """Number of pairs that are outliers and do not count."""
     scale: float
     """Robust size of the residuals in standard deviations of sensor and truth; 1 if these are right."""
     block_correlation: float
-    """Correlation of successive blocks of residuals; far above 0, the covariance is too small."""
+    """Correlation of successive blocks of residuals; if it is far above 0, the covariance is too small."""
     residual_m: float
     """RMS of the positions' residuals of the pairs that count, m."""
     residual_rad: float

@@ -27,7 +27,7 @@ class Problem:
     """Pairs of poses: their residuals in chaser axes, and the derivatives and covariances of these.
 
     The truth is taken at one offset of the clock and moved from there by its twist over some tenths of a
-    second. The slope between two neighbours would be their noise: of 1.56 mm it is 0.5 m/s at 250 Hz.
+    second. The slope between two neighbours would be dominated by noise: at 250 Hz, 1.56 mm give 0.5 m/s.
     """
 
     def __init__(self, measured: StampedPoses, truth: Interpolated, known: Assumptions) -> None:

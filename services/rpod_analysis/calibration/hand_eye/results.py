@@ -22,8 +22,8 @@ from rpod_schemas.config.source import FORWARD_BORESIGHT, SourceConfig
 from rpod_schemas.poses import pose_of
 
 AIM_M, AIM_DEG, AIM_S = 0.3e-3, 0.02, 0.2e-3
-"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; where they are larger,
-the text names the missing motion."""
+"""Standard deviations that a minute at 45 Hz with sub-millimetre truth should reach; if they are larger, the
+text names the missing motion."""
 _CONFOUNDED = 0.9
 _LASTING = 0.5
 """Correlation of successive blocks above which the stated deviations are too small."""

@@ -19,7 +19,7 @@ from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 
 _GRID_S = 0.02
 _RATE_OVER_S = 0.4
-"""Time over which a rate of rotation is taken: noise of an attitude hardly counts."""
+"""Time over which a rate of rotation is taken, s: long enough that noise of the attitudes hardly matters."""
 _LEAST_OVERLAP = 0.5
 _MOST_POSES = 240
 """Number of poses, taken evenly, whose relative motions give the first values."""
@@ -95,7 +95,7 @@ def _rates_rad_s(poses: StampedPoses) -> FloatArray:
 def relative_motions(
     measured: tuple[FloatArray, FloatArray], truth: tuple[FloatArray, FloatArray]
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray], Motion]:
-    """Return relative motions A of the sensor's poses and C of the truth's (C X = X A), and what they turn.
+    """Return relative motions A of the sensor's poses and C of the truth's (C X = X A), and their rotations.
 
     Args:
         measured: rotations, (N, 3, 3), and positions, (N, 3), of T_sensor_target.

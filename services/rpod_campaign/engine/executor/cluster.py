@@ -93,7 +93,7 @@ class Cluster:
         try:
             yield client
         finally:
-            with suppress(OSError):  # a scheduler that is lost says nothing to the end either
+            with suppress(OSError):  # a lost scheduler does not answer the request to close either
                 client.close()  # type: ignore[no-untyped-call]
 
     def _connected(self, address: str) -> Client:
@@ -128,9 +128,9 @@ def _keep(work: Work, arrived: Arrived) -> None:
 
 @contextmanager
 def _scheduler(address: str) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Yield the address of the scheduler, which is started here for ``local:N``, and how it is completed.
+    """Yield the scheduler's address, and a function that starts missing workers; ``local:N`` is started here.
 
-    Dask does not start a worker again that ended while its start was not over yet.
+    Dask does not restart a worker that ended before its start was complete.
     """
     local = _LOCAL.fullmatch(address)
     if local is None:

@@ -55,7 +55,8 @@ class _Stage(Enum):
     """The worker was asked whether it may run the trials."""
     READY = "ready"
     SILENT = "silent"
-    """No batch came back for long. It was asked again, and others may run its trials too."""
+    """No batch has come back for a long time. The worker was asked again, and others may run its trials
+    too."""
     REFUSED = "refused"
 
 
@@ -69,7 +70,7 @@ class _Worker:
     stage: _Stage = _Stage.ASKED
     running: list[tuple[Future[Delivery], Batch]] = field(default_factory=list)
     since_s: float = 0.0
-    """Time from which it has had trials and no batch has come back, s."""
+    """Time since which it has had trials and no batch has come back, s."""
     patience_s: float = 0.0
     """Time after which the user is told again that it is silent, s."""
 
@@ -153,7 +154,7 @@ class Dispatch:
             raise NoWorkersError(address, patience_s, [*self._refusals, *silent])
 
     def _watch(self, patience_s: float) -> None:
-        """Let others run the trials of a worker that has been silent for long, and ask this worker again.
+        """Let others run the trials of a worker that has been silent for a long time, and ask it again.
 
         Its trials may take long, or the scheduler may have lost them: both look the same from here. In the
         first case the batch counts when it comes. In the second the worker answers and gets other trials.
@@ -240,7 +241,7 @@ class Dispatch:
             worker.stage = _Stage.READY
 
     def _drop_lost(self, worker: _Worker) -> None:
-        """Forget the batches that a worker still has though it answered what it was asked after them."""
+        """Forget a worker's batches if the worker has answered a question that it was asked after them."""
         for future, batch in list(worker.running):
             if future.status == "pending":
                 worker.running.remove((future, batch))

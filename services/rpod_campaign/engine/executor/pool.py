@@ -25,7 +25,7 @@ ONE_THREAD = (
     "POLARS_MAX_THREADS",
 )
 _WAITING = 2
-"""Number of trials in the queue for each process: enough to keep it busy, few to lose."""
+"""Number of trials in the queue for each process: enough to keep it busy, and few that can be lost."""
 _EXIT_S = 5.0
 """Longest wait for the exit code of a process that ended, s."""
 _POLL_S = 0.01
@@ -54,9 +54,7 @@ class _Processes:
         for process in self.started:
             process.join(_EXIT_S)
             while process.exitcode is None and time.monotonic() < deadline_s:
-                time.sleep(
-                    _POLL_S
-                )  # the pool's own thread may have reaped it, and tells the code in a moment
+                time.sleep(_POLL_S)  # the pool's own thread may have reaped it, and soon sets the code
         codes = [process.exitcode for process in self.started if process.exitcode]
         first = next((code for code in codes if code != -signal.SIGTERM), None)
         return how_ended(first if first is not None else next(iter(codes), None))

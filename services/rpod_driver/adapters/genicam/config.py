@@ -24,8 +24,8 @@ class GenicamDevice(Config):
     """Which of the producer's cameras, as ``serial_number: "1234"`` (also ``id_``, ``model``, ``vendor``,
     ``user_defined_name``); needed where it finds several."""
     settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    """Features of the camera by name, written in this order at each connection: a camera forgets with its
-    power what was not saved in it."""
+    """Features of the camera by name, written in this order at each connection: without power, a camera loses
+    features that were not saved in it."""
     trigger: Literal["none", "software", "hardware"] = "none"
     """Start of each frame: by itself, by the driver at ``trigger_rate_hz``, or by ``trigger_line``."""
     trigger_rate_hz: Positive = 10.0

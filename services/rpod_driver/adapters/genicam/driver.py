@@ -21,9 +21,9 @@ from rpod_schemas.types import PmdFrame, SensorSync
 log = logging.getLogger(__name__)
 
 _USUAL = ("ExposureTime", "Gain", "AcquisitionFrameRate", "DeviceLinkThroughputLimit")
-"""Features that are settings also where the configuration does not name them, by the SFNC."""
+"""Features of the SFNC that are settings even if the configuration does not name them."""
 _WAIT_S = 0.5
-"""Longest wait for a buffer, s: without one harvesters waits for ever (harvesters#354)."""
+"""Longest wait for a buffer, s: without a limit harvesters waits for ever (harvesters#354)."""
 
 
 def open_driver(config: GenicamConfig) -> "GenicamCamera":
@@ -71,7 +71,7 @@ class GenicamCamera:
             raise
 
     def frames(self) -> Iterator[PmdFrame | None]:
-        """Yield frames as they come. A frame that is not whole is left out and told."""
+        """Yield frames as they come. An incomplete frame is left out and reported."""
         software = self._device.trigger == "software"
         while True:
             started_s = time.monotonic()
@@ -128,7 +128,7 @@ class GenicamCamera:
         return {name: value for name, value in values.items() if value is not None}
 
     def apply(self, settings: Mapping[str, Setting]) -> None:
-        """Write features in their order. Raises ``FeatureError``; then those before are written back."""
+        """Write features in their order. Raises ``FeatureError``; then the former values are restored."""
         write_all(self._nodes, settings)
         self._named |= dict.fromkeys(settings)
 

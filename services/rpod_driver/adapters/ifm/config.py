@@ -27,8 +27,8 @@ class IfmDevice(Config):
     port: str = Field(default="port2", pattern=r"^port[0-9]$")
     """Port of the VPU to which the head is connected."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Settings of the device in its own JSON form, applied at each connection: a device that restarted has
-    lost those that were not saved."""
+    """Settings of the device in its own JSON form, applied at each connection: a restart loses settings that
+    were not saved."""
     recording: Path | None = None
     """File of PCIC buffers as the SDK receives them, instead of a device."""
     rate_hz: Positive = 10.0

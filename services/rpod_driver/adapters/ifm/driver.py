@@ -24,7 +24,7 @@ from rpod_schemas.types import PmdFrame, SensorSync
 log = logging.getLogger(__name__)
 
 _WAIT_MS = 500
-"""Longest wait for a frame, ms; the host is told about twice a second that none came."""
+"""Longest wait for a frame, ms: without frames the host gets None about twice a second."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -184,6 +184,6 @@ class LiveIfm(_Head):
 
 
 def _nanoseconds(stamp: datetime) -> int:
-    """Return a stamp of ifm3dpy, ns since 1970; one without a zone is of this machine's, as datetime says."""
+    """Return a stamp of ifm3dpy, ns since 1970; a stamp without a time zone is in this machine's zone."""
     since = stamp.astimezone(UTC) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000

@@ -28,7 +28,7 @@ class IfmImages:
     """The images of one frame, in metres and in the device's units, each of shape (height, width)."""
 
     stamp_ns: int
-    """Stamp by the device's clock, ns; the middle of its exposures where it tells them."""
+    """Stamp by the device's clock, ns: the middle of the exposures if the device states them."""
     range_m: Float32Array
     """Radial distance, m; 0 where there is none."""
     sigma_m: Float32Array | None
@@ -36,10 +36,10 @@ class IfmImages:
     amplitude: Float32Array | None
     """Amplitude, normalised over the exposure times; negative where there is none."""
     confidence: NDArray[Any] | None
-    """Bits that tell why a pixel is not valid."""
+    """Bits that state why a pixel is not valid."""
     tof_info: TofInfo | None
     problem: str = ""
-    """Why there is no ``tof_info``."""
+    """Reason why there is no ``tof_info``."""
 
 
 def images_of(chunks: dict[int, Chunk]) -> IfmImages:
@@ -80,7 +80,7 @@ def tof_info_of(data: bytes) -> tuple[TofInfo | None, str]:
 
 
 def middle_ns(info: TofInfo | None, stamp_ns: int) -> int:
-    """Return the middle of a frame's exposures by the device's clock, ns; its stamp where it tells none."""
+    """Return the middle of a frame's exposures by the device's clock, ns; the stamp if it states none."""
     exposures = info.exposures_ns if info else ()
     return (min(exposures) + max(exposures)) // 2 if exposures else stamp_ns
 
@@ -90,7 +90,7 @@ def _scaled(chunk: Chunk | None, resolution: float) -> Float32Array | None:
 
 
 def _amplitude(chunk: Chunk | None, info: TofInfo | None) -> Float32Array | None:
-    """Return amplitudes of their roots: (count - 1) squared times the resolution, -1 where there is none."""
+    """Return amplitudes from their square roots: (count - 1) squared times the resolution; -1 for none."""
     if chunk is None:
         return None
     resolution = chunk.metadata.get("AmplitudeResolution", info and info.amplitude_resolution)
@@ -110,7 +110,7 @@ class FrameMaker:
     def frame(self, images: IfmImages, stamp_ns: int) -> PmdFrame:
         """Return a frame.
 
-        Distances are radial; z-depth is what their rays have along the boresight, and their noise likewise.
+        The head's distances and their noise are radial; the frame has their components along the boresight.
         Pixels that the confidence refuses have neither.
 
         Raises:

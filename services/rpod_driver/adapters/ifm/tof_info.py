@@ -31,7 +31,7 @@ class TofInfoError(DriverError):
 
 @dataclass(frozen=True)
 class TofInfo:
-    """Data of a head about itself in each frame."""
+    """Data about the head itself, which it sends in each frame."""
 
     version: int
     distance_resolution_m: float

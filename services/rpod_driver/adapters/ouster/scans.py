@@ -1,8 +1,8 @@
 """Sends the scans of an Ouster by frame_pipe; it runs in an environment of its own, with ouster-sdk (1.0).
 
 Points are in axes x right, y down, z along the boresight, which is the x axis of Ouster's sensor frame. Rows
-are destaggered. A scan's stamp is the middle of its first and last column. Columns that did not come are NaN,
-and told.
+are destaggered. A scan's stamp is the middle of its first and last column. Columns that were not received are
+NaN, and are reported.
 """
 
 import argparse

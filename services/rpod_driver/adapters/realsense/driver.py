@@ -16,7 +16,7 @@ from rpod_schemas.types import Camera, PmdFrame, SensorSync
 
 _WAIT_MS = 500
 _AUTOMATIC = "enable_auto"
-"""Begin of the names of options that are written last: to write an exposure ends automatic exposure."""
+"""Beginning of the names of options that are written last: writing an exposure ends automatic exposure."""
 _UNDISTORTED = ("none", "brown_conrady", "inverse_brown_conrady")
 """Distortion models of depth streams; their coefficients are all 0, since depth images are rectified."""
 
@@ -36,7 +36,7 @@ def open_driver(config: RealsenseConfig) -> "RealsenseCamera":
 
 
 class RealsenseCamera:
-    """A camera whose depth is stereo's or a time of flight's; pixels with 0 have none."""
+    """A camera that measures depth by stereo or time of flight; pixels with 0 have no depth."""
 
     def __init__(self, config: RealsenseConfig, module: Any) -> None:
         self._name, self._device, self._module = config.name, config.device, module
@@ -112,7 +112,7 @@ class RealsenseCamera:
             self._sensor.set_option(option, value)
 
     def _middle_ns(self, depth: Any) -> int:
-        """Return the middle of the exposure; the stamp is of the readout's begin, the metadata tell both."""
+        """Return the middle of the exposure, by the metadata; the stamp is of the beginning of readout."""
         values = self._module.frame_metadata_value
         both = (values.frame_timestamp, values.sensor_timestamp)
         stamp_ns = round(float(depth.timestamp) * 1e6)

@@ -46,7 +46,7 @@ class Bag:
         return found.said
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Yield the frames in their order; tell at the end what was left out."""
+        """Yield the frames in their order; report at the end which were left out."""
         reader = open_reader(self._kind, self._source)
         assembler = assembler_of(self._kind, self._source)
         self._left_out.clear()
@@ -90,7 +90,8 @@ class Bag:
             with Reader(self._path) as reader:
                 held = {_key(connection) for connection in reader.connections}
         except (ReaderError, OSError) as error:
-            raise RecordingError(self._path, f"is no rosbag2 or MCAP file ({error})") from error
+            reason = f"is no rosbag2 or MCAP file ({error}); correct device.bag"
+            raise RecordingError(self._path, reason) from error
         needed = self._kind.required | self._kind.lasting
         lacking = [topic for name, topic in self._parts.items() if name in needed]
         lacking = [topic for topic in lacking if (topic.name, topic.type) not in held]

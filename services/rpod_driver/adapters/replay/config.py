@@ -40,8 +40,8 @@ class ReplayDevice(Config):
     bag: Path | None = None
     """Folder of a rosbag2, or its .db3 or .mcap file; a log of the facility is one."""
     source: Source = SourceConfig()
-    """How the driver published that was recorded, where it did not keep to the ICD: topics, stamps, units.
-    The same as ``source`` of a sensor of the estimator."""
+    """Topics, stamps and units of the recorded driver, where it did not keep to the ICD. The same as
+    ``source`` of a sensor of the estimator."""
     images: Images | None = None
     """Folder of images instead of a bag."""
     speed: Positive = 1.0

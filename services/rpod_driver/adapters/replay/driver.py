@@ -24,7 +24,7 @@ def open_driver(config: ReplayConfig) -> "PlayedSensor":
 
 
 class PlayedSensor:
-    """A sensor whose frames stand in a recording. The time between them is kept, over the speed."""
+    """A sensor whose frames are in a recording. The speed divides the times between them."""
 
     def __init__(self, config: ReplayConfig, recording: Bag | ImageFolder) -> None:
         self._recording, self._device = recording, config.device

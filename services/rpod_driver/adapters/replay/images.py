@@ -16,7 +16,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class ImageFolder:
-    """A camera whose frames stand in a folder."""
+    """A camera whose frames are in a folder."""
 
     def __init__(self, images: Images) -> None:
         """Find the images. Raises ``RecordingError``."""
@@ -24,7 +24,9 @@ class ImageFolder:
         self._depths = sorted(images.folder.glob(images.depth))
         self._amplitudes = sorted(images.folder.glob(images.amplitude)) if images.amplitude else []
         if not self._depths:
-            raise RecordingError(images.folder, f"holds no image {images.depth!r}")
+            raise RecordingError(
+                images.folder, f"holds no image {images.depth!r}; correct images.folder or depth"
+            )
         if images.amplitude and len(self._amplitudes) != len(self._depths):
             raise RecordingError(
                 images.folder,
@@ -56,7 +58,7 @@ class ImageFolder:
 
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         if image is None:
-            raise RecordingError(file, "cannot be read as an image")
+            raise RecordingError(file, "cannot be read as an image; remove it or write it again")
         size = (self._images.camera.height, self._images.camera.width)
         if image.dtype.name not in types or image.shape != size:
             raise RecordingError(

@@ -120,7 +120,7 @@ def poor_logs(tmp_path_factory):
 @pytest.mark.parametrize(
     ("verb", "log", "told"),
     [
-        ("depth", "lidar.mcap", NO_CAMERA + "a LIDAR's range error is told by 'rpod driver check' with"),
+        ("depth", "lidar.mcap", NO_CAMERA + "for a LIDAR, 'rpod driver check' with --target and truth"),
         ("depth", "empty.mcap", NO_FRAME),
         ("depth", "blind.mcap", NO_TRUTH),
         ("depth", "short.mcap", "gives modulation_frequency_hz; let the camera's driver publish its info"),
@@ -170,7 +170,7 @@ def test_a_background_of_a_log_with_truth_is_written_with_a_warning(poor_logs, t
     monkeypatch.chdir(tmp_path)
     learned = rpod("background", poor_logs / "lidar.mcap")
     assert learned.exit_code == 0, learned.output
-    assert "the log has truth; if the target is in view" in learned.stderr
+    assert "the log has truth; a target in view" in learned.stderr
     assert "lidar: 11 frames" in learned.stdout
     assert rpod("background", poor_logs / "blind.mcap").stderr == ""
 
@@ -178,7 +178,7 @@ def test_a_background_of_a_log_with_truth_is_written_with_a_warning(poor_logs, t
 def test_the_form_without_a_verb_still_calibrates_distances_and_says_so(log):
     old, new = rpod(log, "--camera", "tof"), rpod("depth", log, "--camera", "tof")
     notice, _, rest = old.stderr.partition("\n")
-    assert "'rpod calibrate depth LOG' now" in notice
+    assert "is now 'rpod calibrate depth LOG'" in notice
     assert rest == new.stderr
     assert old.exit_code == new.exit_code == 1
 

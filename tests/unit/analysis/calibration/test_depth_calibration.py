@@ -275,4 +275,4 @@ def test_the_background_of_a_log_without_the_target_is_written_for_the_estimator
     assert told["sensors"]["pmd"]["frames"] > 10
     assert known_parts(out, "pmd", PmdFrames()).background.range_m.shape == (96, 118)
     assert background_command([], out=out, as_json=False) == 2
-    assert "0 logs, 1 needed" in capsys.readouterr().err
+    assert "0 logs are given; give one" in capsys.readouterr().err
