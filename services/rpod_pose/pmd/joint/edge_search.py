@@ -217,4 +217,4 @@ def bilinear(image: Float32Array, column: float, row: float) -> float:
     a, b = column - j, row - i
     upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
     lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
-    return upper + b * (lower - upper)
+    return float(upper + b * (lower - upper))
