@@ -15,13 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_geometry.lens import undistort
+from rpod_geometry.lines import Lines, end_line, entry_of, first_line, lines_of, slopes_of
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
 NEAREST_M = 0.05
 """Least distance of a point that a sensor may see, m. Physics: none of these sensors measures nearer."""
+FEW = 6
+"""Number of columns up to which all rays in the box of a triangle are tested. Numerics: a row of a wider one
+is first narrowed to the columns within its sides, which takes as long as some tests."""
+ROUNDING = 1e-6
+"""Share of the terms of a ray's test by which rounding may change their sum. Numerics: single precision, five
+roundings of each term, twice."""
 
 
 class Envelope(NamedTuple):
@@ -218,7 +225,11 @@ def cast_pose(  # noqa: PLR0917
     inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
     inverse[:] = 0.0
     triangle[:] = -1
-    corner, side = np.empty((3, 3)), np.empty((3, 3), rays.dtype)
+    columns = lines_of(grid.column_lower, grid.column_upper)
+    rows = lines_of(grid.row_lower, grid.row_upper)
+    few = FEW if max(columns.reach, rows.reach) < np.inf else rays.shape[2]
+    corner, side, half_planes = np.empty((3, 3)), np.empty((3, 3), rays.dtype), np.empty((3, 4))
+    spans = np.empty((rays.shape[1], 2), np.uint64)
     for index in range(triangles.shape[0]):
         for i in range(3):
             x, y, z = triangles[index, i, 0], triangles[index, i, 1], triangles[index, i, 2]
@@ -227,12 +238,19 @@ def cast_pose(  # noqa: PLR0917
         volume = _volume(corner)  # negative where seen from outside
         if volume == 0.0 or (cull and volume > 0.0):  # NaN is skipped too
             continue
-        top, bottom = _lines(corner, 1, grid.row_lower, grid.row_upper)
-        left, right = _lines(corner, 0, grid.column_lower, grid.column_upper)
+        least, most = slopes_of(corner, 1)
+        top, bottom = first_line(rows, least), end_line(rows, most)
+        least, most = slopes_of(corner, 0)
+        left, right = first_line(columns, least), end_line(columns, most)
         if top < bottom and left < right:
             _sides(corner, 1.0 if volume > 0.0 else -1.0, side)
             face = _Face(index, 1.0 / abs(volume), top, bottom, left, right)
-            _draw(rays, side, face, inverse, triangle)
+            if right - left > few:
+                _fill_half_planes(side, columns.reach, rows.reach, half_planes)
+                _fill_spans(grid, columns, half_planes, face, spans)
+            else:
+                spans[top:bottom, 0], spans[top:bottom, 1] = left, right
+            _draw(rays, side, face, spans, inverse, triangle)
     range_m[:] = 1.0 / inverse
 
 
@@ -270,56 +288,69 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
 
 
 @kernel
-def _lines(corner: FloatArray, axis: int, lower: FloatArray, upper: FloatArray) -> tuple[int, int]:
-    """Return the first and last + 1 of the lines that may hit a triangle: rows for axis 1, columns for 0.
+def _fill_half_planes(side: Array, across: float, down: float, half_planes: FloatArray) -> None:
+    """Fill, for each side of a triangle, the half plane of slopes in which a ray may be within the triangle.
+
+    A ray with the slopes X and Y is within it if a X + b Y + c >= 0 for all sides (a, b, c). A row of the
+    result has a, b, c with a margin for rounding, and -1 / a.
 
     Args:
-        corner: corners of the triangle, sensor axes, shape (3, 3), m.
-        axis: coordinate that the lines divide.
-        lower: ``row_lower`` or ``column_lower`` of the grid, shape (lines,).
-        upper: ``row_upper`` or ``column_upper``, shape (lines,).
+        side: as filled by ``_sides``, shape (3, 3).
+        across: greatest absolute slope of the columns.
+        down: greatest absolute slope of the rows.
+        half_planes: output, shape (3, 4).
     """
-    least, most = np.inf, -np.inf
     for i in range(3):
-        j = (i + 1) % 3
-        low, high = slopes_ahead(corner[i, axis], corner[i, 2], corner[j, axis], corner[j, 2])
-        least, most = min(least, low), max(most, high)
-    first, last = np.searchsorted(upper, least, side="left"), np.searchsorted(lower, most, side="right")
-    return int(first), int(last)
+        a, b, c = np.float64(side[i, 0]), np.float64(side[i, 1]), np.float64(side[i, 2])
+        half_planes[i, 0], half_planes[i, 1] = a, b
+        half_planes[i, 2] = c + ROUNDING * (abs(a) * across + abs(b) * down + abs(c))
+        half_planes[i, 3] = -1.0 / a
 
 
-@kernel
-def slopes_ahead(a: float, a_z: float, b: float, b_z: float) -> tuple[float, float]:
-    """Return the least and the greatest slope x/z, or y/z, of the part of a line that is ahead of the sensor.
-
-    A line that passes the plane z = 0 at x > 0 has slopes up to infinity ahead of it, and at x < 0 down to
-    minus infinity. Those of a triangle are between those of its sides. The result is inf, -inf for a line
-    that is behind the sensor: then only rays of lines that look backwards meet it, whose slopes are
-    unbounded.
+@inlined_kernel
+def _fill_spans(
+    grid: GridArrays, columns: Lines, half_planes: FloatArray, face: "_Face", spans: NDArray[np.uint64]
+) -> None:
+    """Fill the first and last + 1 of the columns that may meet a triangle, for each of its rows.
 
     Args:
-        a: x or y of one end, m.
-        a_z: its z, m.
-        b: x or y of the other end, m.
-        b_z: its z, m.
+        grid: the rays.
+        columns: their columns.
+        half_planes: as filled by ``_fill_half_planes``, shape (3, 4).
+        face: the triangle.
+        spans: output, shape (rows, 2).
     """
-    if a_z > 0.0 and b_z > 0.0:
-        one, other = a / a_z, b / b_z
-        return min(one, other), max(one, other)
-    if not (a_z > 0.0 or b_z > 0.0):
-        return np.inf, -np.inf
-    slope, passes = (a / a_z, b * a_z - a * b_z) if a_z > 0.0 else (b / b_z, a * b_z - b * a_z)
-    return (slope if passes > 0.0 else -np.inf), (slope if passes < 0.0 else np.inf)
+    for row in range(face.top, face.bottom):
+        least, most = -np.inf, np.inf
+        for i in range(3):
+            a, b = half_planes[i, 0], half_planes[i, 1]
+            highest = max(b * grid.row_lower[row], b * grid.row_upper[row])
+            bound = (highest + half_planes[i, 2]) * half_planes[i, 3]
+            if a > 0.0:
+                least = max(least, bound)
+            elif a < 0.0:
+                most = min(most, bound)
+        begin = max(face.left, int(columns.first[entry_of(columns, least)]))
+        end = min(face.right, int(columns.last[entry_of(columns, most)]))
+        spans[row, 0], spans[row, 1] = begin, max(begin, end)
 
 
 @kernel
-def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle: NDArray[np.int32]) -> None:
+def _draw(  # noqa: PLR0917
+    rays: Array,
+    side: Array,
+    face: _Face,
+    spans: NDArray[np.uint64],
+    inverse: Float32Array,
+    triangle: NDArray[np.int32],
+) -> None:
     """Assign to a triangle the rays for which it is the nearest so far, without branches, for vectorisation.
 
     Args:
         rays: ``GridArrays.components``, shape (3, rows, columns).
         side: as filled by ``_sides``, shape (3, 3).
         face: the triangle.
+        spans: first and last + 1 of the columns that may meet it, by row, shape (rows, 2).
         inverse: one over the range, 1/m, shape (rows, columns), input and output.
         triangle: index of the nearest triangle, same shape, input and output.
     """
@@ -328,7 +359,7 @@ def _draw(rays: Array, side: Array, face: _Face, inverse: Float32Array, triangle
     b0, b1, b2 = side[1, 0], side[1, 1], side[1, 2]
     c0, c1, c2 = side[2, 0], side[2, 1], side[2, 2]
     for row in range(np.uint64(face.top), np.uint64(face.bottom)):
-        for column in range(np.uint64(face.left), np.uint64(face.right)):
+        for column in range(spans[row, 0], spans[row, 1]):
             x, y, z = rays[0, row, column], rays[1, row, column], rays[2, row, column]
             s0 = a0 * x + a1 * y + a2 * z
             s1 = b0 * x + b1 * y + b2 * z

@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import distort, undistort
-from rpod_geometry.rays import Hits, RayGrid, cast, cast_pose, slopes_ahead
+from rpod_geometry.lines import slopes_ahead
+from rpod_geometry.rays import Hits, RayGrid, cast, cast_pose
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages.lenses import coefficients

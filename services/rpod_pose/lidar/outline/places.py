@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, kernel
-from rpod_geometry.rays import GridArrays, slopes_ahead
+from rpod_geometry.lines import slopes_ahead
+from rpod_geometry.rays import GridArrays
 from rpod_pose.lidar.scan_likelihood import Assumptions, Rays
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.surface_model import Faces

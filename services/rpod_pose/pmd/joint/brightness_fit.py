@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import Float32Array
@@ -46,6 +46,9 @@ part that has no pixel of its own."""
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
+
+MIXED_PIXEL = -2
+"""Stands for the triangle of a pixel whose rays meet several. Numerics: no triangle has this number."""
 
 
 class Mixture(NamedTuple):
@@ -121,16 +124,16 @@ def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alon
     weight = weights(mixture.alone) if alone else np.ones(mixture.alone.shape, np.float32)
     shape, most, faint = patch.image.shape, np.float32(clip * patch.typical), _faint(patch)
     gain = np.ones(int(mixture.part.max()) + 1, np.float32)
-    bright = mixed(gain, mixture, shape)
+    bright = mixed(gain, mixture, shape, np.float32(np.inf))
     first = float(patch.typical / np.median(bright[bright > 0.0]))
     gain *= np.float32(first)
 
     def shown() -> Float32Array:
         """Return the smoothed rendering, clipped like the image."""
-        return _blurred(np.minimum(mixed(gain, mixture, shape), most), blur_px)
+        return _blurred(mixed(gain, mixture, shape, most), blur_px)
 
     for _ in range(ROUNDS):
-        ratio = ((patch.image + faint) / (shown() + faint)).astype(np.float32, copy=False)
+        ratio = ratio_of(patch.image, shown(), faint)
         if alone:
             adapt(gain, (first, HELD), mixture, weight, ratio)
         else:
@@ -166,6 +169,15 @@ def mixture_of(
     for i in range(rows):
         for j in range(columns):
             first, sky = count, False
+            only = one_of(triangle, per_px, i, j)
+            if only >= 0:
+                numbers[count], lights[count] = part[only], 0.0
+                for _ in range(per_px * per_px):  # one after the other, as below: rounding is the same
+                    lights[count] += float(light[only])
+                alone[i, j], pixels[count] = part[only], i * columns + j
+                count += 1
+            if only != MIXED_PIXEL:
+                continue
             for v in range(per_px * i, per_px * (i + 1)):
                 for u in range(per_px * j, per_px * (j + 1)):
                     met = triangle[v, u]
@@ -177,7 +189,24 @@ def mixture_of(
             pixels[first:count] = i * columns + j
             if count == first + 1 and not sky:
                 alone[i, j] = numbers[first]
-    return Mixture(pixels[:count].copy(), numbers[:count].copy(), lights[:count].copy(), alone)
+    return Mixture(pixels[:count], numbers[:count], lights[:count], alone)
+
+
+@inlined_kernel
+def one_of(triangle: NDArray[np.int32], per_px: int, i: int, j: int) -> int:
+    """Return the triangle that all rays of a pixel meet, -1 if none meets any, else ``MIXED_PIXEL``.
+
+    Args:
+        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
+        per_px: number of rays for each pixel, along rows and columns.
+        i: row of the pixel.
+        j: column of the pixel.
+    """
+    first, same = triangle[per_px * i, per_px * j], True
+    for v in range(per_px * i, per_px * (i + 1)):
+        for u in range(per_px * j, per_px * (j + 1)):
+            same &= triangle[v, u] == first
+    return first if same else MIXED_PIXEL
 
 
 @kernel
@@ -224,18 +253,37 @@ def weights(alone: NDArray[np.int32]) -> Float32Array:
 
 
 @kernel
-def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int]) -> Float32Array:
+def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int], most: np.float32) -> Float32Array:
     """Return the brightness of the pixels, shape (rows, columns).
 
     Args:
         gain: factor on the brightness of each part, shape (K,).
         mixture: the parts that the pixels show.
         shape: number of rows and columns of pixels.
+        most: greatest brightness; inf for none.
     """
     image = np.zeros(shape[0] * shape[1], np.float32)
     for n in range(mixture.pixel.size):
         image[mixture.pixel[n]] += gain[mixture.part[n]] * mixture.light[n]
+    for n in range(image.size):
+        image[n] = min(image[n], most)
     return image.reshape(shape)
+
+
+@kernel
+def ratio_of(image: Float32Array, rendered: Float32Array, faint: np.float32) -> Float32Array:
+    """Return image over rendering, with ``faint`` added to both.
+
+    Args:
+        image: shape (rows, columns), as the result.
+        rendered: same shape.
+        faint: least brightness that counts.
+    """
+    ratio = np.empty(image.shape, np.float32)
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            ratio[i, j] = (image[i, j] + faint) / (rendered[i, j] + faint)
+    return ratio
 
 
 @kernel
@@ -257,14 +305,19 @@ def adapt(
     """
     sums, whole = np.zeros(gain.size), np.zeros(gain.size)
     lights, counts = np.zeros(gain.size), np.zeros(gain.size)
-    ratios, shares, (first, held) = ratio.ravel(), weight.ravel(), prior
-    for n in range(mixture.pixel.size):
-        k, pixel = mixture.part[n], mixture.pixel[n]
-        light = gain[k] * mixture.light[n]
-        sums[k] += light * shares[pixel] * ratios[pixel]
-        whole[k] += light * shares[pixel]
-        lights[k] += light
-        counts[k] += 1.0
+    ratios, shares, (first, held), n = ratio.ravel(), weight.ravel(), prior, 0
+    while n < mixture.pixel.size:  # neighbours mostly show one part, whose sums stay in registers
+        k, begin = mixture.part[n], n
+        by, total, weighted, plain = gain[k], sums[k], whole[k], lights[k]
+        while n < mixture.pixel.size and mixture.part[n] == k:
+            pixel = mixture.pixel[n]
+            light = by * mixture.light[n]
+            total += light * shares[pixel] * ratios[pixel]
+            weighted += light * shares[pixel]
+            plain += light
+            n += 1
+        sums[k], whole[k], lights[k] = total, weighted, plain
+        counts[k] += n - begin
     for k in range(gain.size):
         if whole[k] > 0.0:
             known = held * lights[k] / counts[k]

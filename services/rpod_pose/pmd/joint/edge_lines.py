@@ -87,9 +87,14 @@ def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> F
         return samples
     # in coordinates in which the whole information is the identity, eigenvalues are shares of it
     root = np.linalg.cholesky(covariance)
-    shares, vectors = np.linalg.eigh(root.T @ informations @ root)
-    steps = np.einsum("lji,lj->li", vectors, gradients @ root) / (1.0 - np.minimum(shares, MOST_LEVERAGE))
-    moved = np.einsum("lij,lj->li", vectors, steps) @ root.T
+    whole, scaled = root.T @ informations @ root, gradients @ root
+    large = np.einsum("lii->l", whole) > MOST_LEVERAGE  # the sum of the shares: others have no larger one
+    steps = np.empty_like(scaled)
+    steps[~large] = np.linalg.solve(np.eye(UNKNOWNS) - whole[~large], scaled[~large, :, None])[..., 0]
+    shares, vectors = np.linalg.eigh(whole[large])
+    along = np.einsum("lji,lj->li", vectors, scaled[large]) / (1.0 - np.minimum(shares, MOST_LEVERAGE))
+    steps[large] = np.einsum("lij,lj->li", vectors, along)
+    moved = steps @ root.T
     told = (number - OF_POSE) / number
     found: FloatArray = told * (number - 1) / number * moved.T @ moved + (1.0 - told) * samples
     return found

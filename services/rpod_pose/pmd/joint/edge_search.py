@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -17,7 +17,7 @@ SHORTEST = 1e-9
 """Least length of a unit vector along an edge in the image, over the focal length. Numerics: it avoids a
 division by zero; an edge seen from its end has no direction."""
 MOST_REACH = 32
-"""Greatest length of a profile in both directions, px. Numerics: memory, the length of a buffer."""
+"""Greatest length of a profile in both directions, px. Numerics: a budget of computation."""
 FLAT = 0.02
 """Least change along a profile over the change that counts. Hand: noise changes more, glints and blackouts
 less."""
@@ -178,33 +178,43 @@ def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> 
     rows, columns = image.shape
     far_column, far_row = most * abs(across) + 1.0, most * abs(down) + 1.0
     inside = far_column <= column < columns - 1.0 - far_column and far_row <= row < rows - 1.0 - far_row
-    profile = np.empty(2 * MOST_REACH + 5)
     if not inside:
         return Step(0.0, -1.0)
     lowest, highest, brightest = np.inf, -np.inf, 0.0
+    one, two, three, four, five = 0.0, 0.0, 0.0, 0.0, 0.0  # the last five places of the line
+    best, place, change, before, after = 0.0, 0, 0.0, 0.0, 0.0
+    width = 0.5 * reach + 1.0
     for k in range(-most, most + 1):
-        u, v = column + k * across, row + k * down
-        j, i = int(u), int(v)
-        a, b = u - j, v - i
-        upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
-        lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
-        profile[k + most] = upper + b * (lower - upper)
-        lowest, highest = min(lowest, profile[k + most]), max(highest, profile[k + most])
+        one, two, three, four = two, three, four, five
+        five = bilinear(image, column + k * across, row + k * down)
+        lowest, highest = min(lowest, five), max(highest, five)
         if abs(k) <= MIDDLE:
-            brightest = max(brightest, profile[k + most])
+            brightest = max(brightest, five)
+        here, previous, following = abs(four - two), abs(three - one), abs(five - three)
+        if k >= 4 - most and here >= least and here >= previous and here >= following:
+            score = here / (1.0 + ((k - 2) / width) ** 2)
+            if score > best:
+                best, place, change, before, after = score, k - 2, here, previous, following
     if highest - lowest < FLAT * least or brightest < FLAT * least:
         return Step(0.0, -1.0)
-    best, place, change = 0.0, 0, 0.0
-    width = 0.5 * reach + 1.0
-    for k in range(2, 2 * most - 1):
-        here = abs(profile[k + 1] - profile[k - 1])
-        score = here / (1.0 + ((k - most) / width) ** 2)
-        peak = here >= abs(profile[k] - profile[k - 2]) and here >= abs(profile[k + 2] - profile[k])
-        if here >= least and score > best and peak:
-            best, place, change = score, k, here
     if best == 0.0:
         return Step(0.0, 0.0)
-    before, after = abs(profile[place] - profile[place - 2]), abs(profile[place + 2] - profile[place])
     bend = before - 2.0 * change + after
     shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return Step(place - most + shift, change)
+    return Step(place + shift, change)
+
+
+@inlined_kernel
+def bilinear(image: Float32Array, column: float, row: float) -> float:
+    """Return the value of an image, shape (rows, columns), at a place that is not on its last row or column.
+
+    Args:
+        image: the image.
+        column: column, at least 0.
+        row: row, at least 0.
+    """
+    j, i = int(column), int(row)
+    a, b = column - j, row - i
+    upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
+    lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
+    return float(upper + b * (lower - upper))

@@ -137,7 +137,8 @@ class PatchRenderer:
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
-        shade = mixed(np.ones(len(self._surfaces), np.float32), mixture, patch.image.shape)
+        as_filed = np.ones(len(self._surfaces), np.float32)
+        shade = mixed(as_filed, mixture, patch.image.shape, np.float32(np.inf))
         few = shade.ravel()[:: shade.size // TYPICAL_SAMPLES + 1]
         few = few[few > 0.0]
         typical = float(np.median(few)) if few.size else 0.0
@@ -335,8 +336,11 @@ class Sights:
 @kernel
 def nearby_m(shown: Shown, i: int, j: int) -> float:
     """Return the greatest range, m, of four pixels from row i and column j on; inf for sky."""
-    n = shown.per_px
-    return float(shown.range_m[n * i : n * (i + 2), n * j : n * (j + 2)].max())
+    n, most = shown.per_px, 0.0
+    for v in range(n * i, n * (i + 2)):
+        for u in range(n * j, n * (j + 2)):
+            most = max(most, shown.range_m[v, u])
+    return float(most)
 
 
 @kernel

@@ -340,7 +340,8 @@ class JointTracker:
     def _uncertainty(self, seen: JointFrame, sights: Sights, aligned: Aligned) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
         fit, last = aligned.fit, aligned.last
-        sight = sights.at(fit.state.pose)
+        moved = moved_px(last.sight.expected.pose, fit.state.pose, self._target.radius_m, seen.lens.fx)
+        sight = last.sight if moved < CERTAIN_PX else sights.at(fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
         alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)

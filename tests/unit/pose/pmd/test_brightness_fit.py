@@ -1,0 +1,39 @@
+"""Parts that the pixels of a rendering show, and the brightness that is fitted to them."""
+
+import numpy as np
+import pytest
+
+from rpod_pose.pmd.joint.brightness_fit import adapt, mixed, mixture_of, ratio_of
+
+ROWS, COLUMNS, TRIANGLES = 9, 11, 6
+
+
+@pytest.mark.parametrize("per_px", [1, 2, 3])
+def test_a_pixel_shows_the_light_of_all_its_rays(per_px: int) -> None:
+    random = np.random.default_rng(2)
+    triangle = random.integers(-1, TRIANGLES, (per_px * ROWS, per_px * COLUMNS)).astype(np.int32)
+    triangle[: 4 * per_px] = np.repeat(np.repeat(triangle[:4, :COLUMNS], per_px, 0), per_px, 1)
+    light = random.random(TRIANGLES + 1).astype(np.float32)
+    part = np.array([0, 0, 1, 2, 2, 3], np.int32)
+    mixture = mixture_of(triangle, per_px, light, part)
+    image = mixed(np.ones(4, np.float32), mixture, (ROWS, COLUMNS), np.float32(np.inf))
+    by_ray = np.where(triangle >= 0, light[triangle], 0.0).reshape(ROWS, per_px, COLUMNS, per_px)
+    np.testing.assert_allclose(image, by_ray.sum(axis=(1, 3)), rtol=1e-6)
+    shown = np.where(triangle >= 0, part[triangle], -1).reshape(ROWS, per_px, COLUMNS, per_px)
+    least, most = shown.min(axis=(1, 3)), shown.max(axis=(1, 3))
+    np.testing.assert_array_equal(mixture.alone, np.where(least == most, least, -1))
+    assert (np.diff(mixture.pixel) >= 0).all()
+    clipped = mixed(np.ones(4, np.float32), mixture, (ROWS, COLUMNS), np.float32(0.5))
+    np.testing.assert_array_equal(clipped, np.minimum(image, np.float32(0.5)))
+
+
+def test_a_step_multiplies_a_part_by_its_mean_ratio() -> None:
+    triangle = np.array([[0, 0, 1], [1, 0, -1]], np.int32)
+    light, part = np.array([1.0, 2.0, 0.0], np.float32), np.array([0, 1], np.int32)
+    mixture = mixture_of(triangle, 1, light, part)
+    image = np.array([[2.0, 4.0, 6.0], [2.0, 3.0, 9.0]], np.float32)
+    rendered = mixed(np.ones(2, np.float32), mixture, image.shape, np.float32(np.inf))
+    ratio = ratio_of(image, np.maximum(rendered, np.float32(1.0)), np.float32(0.0))
+    gain = np.ones(2, np.float32)
+    adapt(gain, (1.0, 0.0), mixture, np.ones(image.shape, np.float32), ratio)
+    np.testing.assert_allclose(gain, (3.0, 2.0))
