@@ -103,6 +103,6 @@ def _target(opened: Log, name: str | None) -> Target | None:
         return load_target(chosen)
     except TargetError as error:
         if name:
-            raise ConfigurationError("rpod view", "--target", str(error)) from error
+            raise ConfigurationError("--target", "", str(error)) from error
         log.warning("the target's mesh is not shown: %s", error)
         return None

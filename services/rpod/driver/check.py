@@ -62,10 +62,11 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
             against=_prefix(options),
         )
     except ConfigurationError as error:
-        return _refuse(error)
+        return failed("driver check", error)
     for name, value in (("duration", duration_s), ("rate", options.rate_hz)):
         if value is not None and not 0.0 < value < inf:
-            return _refuse(f"--{name} is {value:g}, needs a finite number above 0")
+            reason = f"--{name} is {value:g}; give a finite number above 0"
+            return failed("driver check", reason, EXIT_USAGE)
     observer = Observer(driver.kind, driver.name, known)
     config = ServiceConfig(instance="driver-check", bus=bus)
     if not as_json:
@@ -112,12 +113,12 @@ def _target(options: CheckOptions) -> Any:
 
     if options.target is None:
         if options.search:
-            raise ConfigurationError("rpod driver check", "--search", "needs --target, the target to search")
+            raise ConfigurationError("--search", "", "needs --target, the target to search")
         return None
     try:
         return load_target(options.target)
     except TargetError as error:
-        raise ConfigurationError("rpod driver check", "--target", str(error)) from error
+        raise ConfigurationError("--target", "", str(error)) from error
 
 
 def _searched(seen: Observations, target: Any) -> CheckResult:
@@ -130,10 +131,8 @@ def _prefix(options: CheckOptions) -> str | None:
     if options.against is None:
         return None
     if options.target is None:
-        raise ConfigurationError(
-            "rpod driver check", "--against", "needs --target, the target of the estimate"
-        )
-    return check(_Estimate, {"against": options.against}, source="rpod driver check").against
+        raise ConfigurationError("--against", "", "needs --target, the target of the estimate")
+    return check(_Estimate, {"against": options.against}, source="option").against
 
 
 def _document(driver: DriverConfig, duration_s: float, results: list[CheckResult]) -> dict[str, Any]:
@@ -170,8 +169,3 @@ def _folded(results: list[CheckResult]) -> list[CheckResult]:
         *causes,
         CheckResult(line="others", level=Level.UNCHECKED, text=f"{rest} further checks need frames"),
     ]
-
-
-def _refuse(error: object) -> int:
-    print(f"rpod: {error}", file=sys.stderr)
-    return EXIT_USAGE
