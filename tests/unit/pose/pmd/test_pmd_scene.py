@@ -184,6 +184,10 @@ def test_light_that_the_lens_scatters_beside_a_target_is_no_surface_however_litt
     least = stray_light(frame, PmdSceneConfig().ghost_share)
     assert not (image >= least)[np.isfinite(depth_m) & beside].any()
     assert (image >= least)[plate].all()
+    result = scene_of(frame, PmdSceneConfig(), radius_m=5.0)
+    assert isinstance(result, PmdScene)
+    assert not (result.range_m > 0.0)[coarsely(result, beside)].any()
+    assert (result.range_m > 0.0)[coarsely(result, plate)].mean() > 0.9
 
 
 def test_a_dark_part_is_not_taken_for_stray_light_of_a_lens():
