@@ -7,6 +7,7 @@ which model points are hidden and whether a pose explains an image.
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
@@ -25,6 +26,13 @@ FARTHEST_M = 1e3
 HIDDEN_M = 0.03
 """Distance behind the rendered surface around it from which on a model point is hidden. Hand: a larger value
 keeps points behind thin parts, a smaller one loses points by noise."""
+
+STRAY_PARTS = 1, 2, 4, 8
+"""Parts of the image over which light may be scattered. Physics: scattered light that is narrower than an
+eighth of the image is the blur of an edge; octaves hold any width within a factor of 1.4."""
+STRAY_STRIDE = 4
+"""Distance of the pixels from which stray light is estimated. Numerics: the least part of an image has
+hundreds of pixels, and their mean changes little over four."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +195,30 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
         return str(error)
     depth_m = np.where(measured, frame.depth_m, np.float32(np.nan))
     return DepthImage(view, depth_m, downsampled(depth_m, view.stride, view.offset))
+
+
+def stray_light(frame: PmdFrame, share: float) -> Float32Array:
+    """Return the greatest amplitude that light scattered in the lens explains, shape (height, width).
+
+    It is a share of the brightness around a pixel: of the image, or of the part of ``STRAY_PARTS`` around the
+    pixel in which it is greatest. Nobody knows how far a lens scatters, and the light of a small target is
+    nowhere a share of the image's mean. Pixels without depth are dark, but those as bright as the others are
+    saturated. Zeros without depth or amplitude.
+    """
+    height, width = frame.depth_m.shape
+    sparse = slice(None, None, STRAY_STRIDE)
+    seen = frame.depth_m[sparse, sparse] > 0.0
+    if frame.amplitude is None or not seen.any():
+        return np.zeros((height, width), np.float32)
+    light = frame.amplitude[sparse, sparse].astype(np.float32)
+    light[~seen & (light < light[seen].mean())] = 0.0
+    most = np.zeros_like(light)
+    for part in STRAY_PARTS:
+        side = max(max(light.shape) // part, 1)
+        around = cv2.blur(light, (side, side)) if part > 1 else light.mean()
+        np.maximum(most, around, out=most)
+    limit: Float32Array = cv2.resize(np.float32(share) * most, (width, height))  # type: ignore[assignment]
+    return limit
 
 
 @kernel

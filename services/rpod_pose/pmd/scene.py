@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import DepthView, downsampled
+from rpod_pose.pmd.depth_view import DepthView, downsampled, stray_light
 from rpod_pose.search.energy import CELLS, Image
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdSceneConfig
@@ -232,7 +232,7 @@ def _implausible_camera(camera: Camera, config: PmdSceneConfig) -> str:
 def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
     measured: NDArray[np.bool_] = np.isfinite(frame.depth_m) & (frame.depth_m > 0.0)
     if frame.amplitude is not None:
-        measured &= frame.amplitude >= config.ghost_share * frame.amplitude.mean(dtype=np.float64)
+        measured &= frame.amplitude >= stray_light(frame, config.ghost_share)
     return measured
 
 

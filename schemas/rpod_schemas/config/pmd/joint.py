@@ -156,8 +156,8 @@ class JointTuning(Tuning):
     """Weight of a pixel without depth at a predicted surface, over that of a measured one: glints, dark parts
     and close, bright parts lose their depth."""
     ghost_share: Annotated[Share, BY_HAND] = 0.08
-    """Share of the image's mean amplitude below which depth is dropped; in the mean, pixels without depth
-    count as dark. Close to a bright target, stray light gives the background a false depth."""
+    """Share of the brightness around a pixel below which its depth is dropped; pixels without depth count as
+    dark. Close to a bright target, stray light gives the background a false depth."""
     unobserved_deg: Annotated[Positive, UNKNOWN_ANGLE] = 104.0
     """Standard deviation of a rotation that nothing in the image determines, deg. That of a translation is
     the target's radius."""

@@ -24,7 +24,7 @@ class PmdSceneConfig(Tuning):
     """Pixels of a frame that the search uses."""
 
     ghost_share: Annotated[Share, BY_HAND] = 0.08
-    """Share of the image's mean amplitude below which depth is dropped, as stray light."""
+    """Share of the brightness around a pixel below which its depth is dropped, as stray light."""
     lit_share: Annotated[Share, BY_HAND] = 0.25
     """Share of the amplitude of the darkest pixels with depth above which a pixel without depth shows the
     target; so does one whose amplitude exceeds the sky's by far."""

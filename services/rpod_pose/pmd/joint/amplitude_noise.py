@@ -3,6 +3,7 @@
 import numpy as np
 
 from rpod_geometry.kernels import kernel
+from rpod_pose.pmd.frame_check import LIT_SPREADS
 from rpod_schemas.types import Float32Array
 
 SAMPLES = 3000
@@ -52,19 +53,36 @@ def correlation_px(blur_px: float) -> float:
     return float(2.0 * np.sqrt(np.pi) * blur_px)
 
 
-def typical_of(image: Float32Array, start: float) -> float:
+def typical_of(image: Float32Array, measured: float, depth_m: Float32Array) -> float:
     """Return the median amplitude of the pixels that are neither much darker nor much brighter than it.
+
+    Where a target is small and faint, the sky's noise is not much darker, and has most of the pixels. A
+    result within this noise is the sky's, so that the amplitude of the pixels with depth stays.
 
     Args:
         image: shape (H, W).
-        start: a guess, right within a small factor; 0 stays 0.
+        measured: typical amplitude of pixels with depth, right within a small factor; 0 if none has depth.
+        depth_m: depth, same shape, m.
     """
     step = int(np.sqrt(image.size / SAMPLES)) + 1
-    few = np.sort(image[::step, ::step], axis=None)
+    sparse = image[::step, ::step]
+    few = np.sort(sparse, axis=None)
+    start = measured or float(np.median(image[image >= image.mean()]))
     middle = start
     for _ in range(ROUNDS):
         first, last = np.searchsorted(few, (LIT[0] * middle, LIT[1] * middle))
         if first == last:
             break
         middle = float(few[(first + last) // 2])
-    return middle
+    if middle >= measured:
+        return middle
+    sky = sparse[~(depth_m[::step, ::step] > 0.0) & (sparse > 0.0) & (sparse < measured)]
+    return measured if middle <= brightest_of(sky) else middle
+
+
+def brightest_of(sky: Float32Array) -> float:
+    """Return the greatest amplitude that the noise of pixels of the sky explains, shape (N,); 0 if none."""
+    if not sky.size:
+        return 0.0
+    median = np.median(sky)
+    return float(median + LIT_SPREADS * np.median(np.abs(sky - median)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays
-from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView
+from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, stray_light
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_schemas.arrays import Array, FloatArray
@@ -126,10 +126,8 @@ class JointFrame:
         stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
         view = DepthView.of(frame.camera, stride)
         amplitude = _even(frame.depth_m.shape) if frame.amplitude is None else frame.amplitude
-        sparse = slice(None, None, SPARSE)
-        lit = np.where(frame.depth_m[sparse, sparse] > 0.0, amplitude[sparse, sparse], 0.0)
-        least = tuning.ghost_share * float(lit.mean())
-        images, pixels = DepthImages(frame.depth_m, amplitude, least), CoarsePixels(view.stride, view.offset)
+        least, pixels = stray_light(frame, tuning.ghost_share), CoarsePixels(view.stride, view.offset)
+        images = DepthImages(frame.depth_m, amplitude, least)
         range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
         range_m[sigma_m > tuning.check.most_noise_m] = np.nan
         measured = _measured(range_m, tuning.depth.points)
@@ -307,7 +305,7 @@ def _patch(
     if min(part.shape) < MIN_PATCH:
         return _NO_PATCH
     saturated = None if frame.saturated is None else frame.saturated[around]
-    typical = typical_of(part, typical or float(np.median(part[part >= part.mean()])))
+    typical = typical_of(part, typical, frame.depth_m[around])
     if typical <= 0.0:
         return _NO_PATCH
     known = part if saturated is None else np.where(saturated, np.float32(0.0), part)
@@ -334,8 +332,8 @@ class DepthImages(NamedTuple):
     """z-depth, shape (height, width); NaN or 0 without one."""
     amplitude: Array
     """Amplitude, same shape."""
-    least: float
-    """Least amplitude of a pixel whose depth counts."""
+    least: Float32Array
+    """Least amplitude of a pixel whose depth counts, same shape."""
 
 
 class CoarseRanges(NamedTuple):
@@ -379,7 +377,7 @@ def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels)
                     seen += 1
                     light += amplitude[v, u]
                     z = np.float64(depth[v, u])
-                    if not NEAREST_M < z < FARTHEST_M:
+                    if not NEAREST_M < z < FARTHEST_M or amplitude[v, u] < least[v, u]:
                         continue
                     k = count
                     while k > 0 and nine[k - 1] > z:
@@ -390,7 +388,7 @@ def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels)
                     total += z
                     squares += z * z
             shades[i, j] = light / seen
-            if count >= FEWEST and amplitude[row, column] >= least:
+            if count >= FEWEST and amplitude[row, column] >= least[row, column]:
                 outer = count // OUTER
                 middle = nine[outer : count - outer].mean()
                 variance = max(squares - total * total / count, 0.0) / (count - 1)

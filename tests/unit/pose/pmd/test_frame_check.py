@@ -180,8 +180,18 @@ def test_what_is_typical_is_neither_the_sky_nor_a_glint_wherever_one_starts(star
     image = generator.uniform(0.0, 20.0, (120, 160)).astype(np.float32)
     image[20:100, 20:140] = generator.uniform(200.0, 400.0, (80, 120))
     image[30:60, 30:70], image[70:90, 30:70] = 0.0, 60000.0
-    assert typical_of(image, start) == pytest.approx(300.0, rel=0.05)
-    assert typical_of(np.zeros_like(image), 0.0) == 0.0
+    depth_m = np.where(image > 100.0, np.float32(5.0), np.float32(np.nan))
+    assert typical_of(image, start, depth_m) == pytest.approx(300.0, rel=0.05)
+    assert typical_of(np.zeros_like(image), 0.0, np.full_like(image, np.nan)) == 0.0
+
+
+def test_the_sky_is_not_what_is_typical_of_a_small_faint_target() -> None:
+    generator = np.random.default_rng(6)
+    image = np.hypot(*generator.normal(0.0, 50.0, (2, 120, 160))).astype(np.float32)
+    depth_m = np.full(image.shape, np.nan, np.float32)
+    image[50:60, 70:90], depth_m[50:60, 70:90] = generator.uniform(180.0, 260.0, (10, 20)), 5.0
+    assert np.median(image) > 0.25 * 220.0  # by a quarter of what is typical, the sky is not darker
+    assert typical_of(image, 220.0, depth_m) == pytest.approx(220.0, rel=0.1)
 
 
 def test_a_thin_part_between_the_coarse_pixels_is_seen_by_fine_rays_and_does_not_contradict():

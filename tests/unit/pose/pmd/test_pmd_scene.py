@@ -8,11 +8,13 @@ import pytest
 from pmd_frames import CAMERA, depth_frame, frame_of
 from scipy.spatial.transform import Rotation
 
+from rpod_pose.pmd.depth_view import stray_light
 from rpod_pose.pmd.fit import PmdFitter, Surface
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd.search import PmdModelConfig, PmdSceneConfig
 from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Camera
 from rpod_target import load_target
 
 POSE = make_pose(
@@ -160,3 +162,36 @@ def test_the_refinement_never_makes_a_pose_worse():
     *refined, deviations = fitter.outline_refined(R, t, np.full(6, 0.02), draws)
     assert fitter.fit(*refined).loss < fitter.fit(R, t).loss
     assert (deviations < 0.02).all()
+
+
+def veiled(*, fills: int):
+    """Return depth and amplitude of a plate beside which a lens scatters 6 % of its light, and the plate."""
+    plate = np.zeros((172, 224), bool)
+    plate[80 : 80 + fills, 90 : 90 + fills] = True
+    shade = np.where(plate, np.float32(150.0), np.float32(0.0))
+    amplitude = 0.94 * shade + 0.06 * cv2.GaussianBlur(shade, (0, 0), 18.0)
+    return np.where(amplitude > 0.5, np.float32(4.0), np.float32(np.nan)), amplitude, plate
+
+
+@pytest.mark.parametrize("fills", [20, 40, 80])
+def test_light_that_the_lens_scatters_beside_a_target_is_no_surface_however_little_it_fills(fills):
+    depth_m, amplitude, plate = veiled(fills=fills)
+    camera = Camera(width=224, height=172, fx=200.0, fy=200.0, cx=111.5, cy=85.5)
+    image = amplitude.astype(np.uint16)
+    frame = frame_of(depth_m, amplitude=image, camera=camera)
+    beside = ~cv2.dilate(plate.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    assert np.isfinite(depth_m[beside]).sum() > 100
+    least = stray_light(frame, PmdSceneConfig().ghost_share)
+    assert not (image >= least)[np.isfinite(depth_m) & beside].any()
+    assert (image >= least)[plate].all()
+    result = scene_of(frame, PmdSceneConfig(), radius_m=5.0)
+    assert isinstance(result, PmdScene)
+    assert not (result.range_m > 0.0)[coarsely(result, beside)].any()
+    assert (result.range_m > 0.0)[coarsely(result, plate)].mean() > 0.9
+
+
+def test_a_dark_part_is_not_taken_for_stray_light_of_a_lens():
+    amplitude = np.where(without_middle()[1], 30, shade(200)).astype(np.uint16)
+    frame = frame_of(ideal().depth_m, amplitude=amplitude)
+    least = stray_light(frame, PmdSceneConfig().ghost_share)
+    assert (amplitude >= least)[np.isfinite(ideal().depth_m)].all()
