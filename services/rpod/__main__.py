@@ -64,7 +64,7 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Wait for the router as
 def main() -> None:
     """Run the command line; a verb whose extra is not installed names the missing package."""
     if sys.__stderr__ is not None:
-        faulthandler.enable(sys.__stderr__)  # where compiled code ends the process, the operator sees which call it was
+        faulthandler.enable(sys.__stderr__)  # a crash of compiled code tells in which call
     try:
         app()
     except ModuleNotFoundError as error:
