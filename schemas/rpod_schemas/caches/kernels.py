@@ -6,33 +6,47 @@ of these would stay unnoticed. Here the stamp of a kernel's file also covers the
 from other modules, and the names that these import. The locations of the cache are Numba's own
 (``NUMBA_CACHE_DIR``, ``__pycache__``, the user's cache if an installation is read-only).
 
+A cached kernel holds the machine code of all kernels that it calls, under names that end with a number.
+Numba counts these numbers in each process from 1. So two kernels that different processes have compiled may
+hold different code under one name, and a process that loads both uses one of them for both, which may end it
+by SIGSEGV. Here each process counts from a random number.
+
 A package with kernels calls ``watch_callees`` in its ``__init__``, before any kernel is defined.
 Source: Numba, "Environment variables", NUMBA_CACHE_LOCATOR_CLASSES.
 """
 
 import hashlib
 import inspect
+import secrets
 from collections.abc import Iterator, Mapping
 from functools import cache
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numba.core import caching, config
+from numba.core.bytecode import FunctionIdentity
 from numba.core.dispatcher import Dispatcher
 
 _NUMBERS = (bool, int, float, complex, str, bytes)
 _OWN = f"{__name__}."
+_NUMBER_BITS = 62
+"""Bits of the number from which a process counts: two of thousands of processes never overlap."""
 
 
 def watch_callees() -> None:
-    """Let Numba's cache include other modules in a kernel's stamp; a locator that the user chose stays."""
+    """Let Numba's cache include other modules in a kernel's stamp, and name code as no other process does.
+
+    A locator that the user chose stays.
+    """
     if not getattr(config, "CACHE_LOCATOR_CLASSES"):  # noqa: B009 - its stub lacks the name
         own = ("UserProvided", "InTree", "UserWide")
         others = ("IPythonCacheLocator", "ZipCacheLocator")
         chosen = ",".join([*(_OWN + name for name in own), *others])
         setattr(config, "CACHE_LOCATOR_CLASSES", chosen)  # noqa: B010 - its stub lacks the name
+    FunctionIdentity._unique_ids = count(secrets.randbits(_NUMBER_BITS))
 
 
 class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, unused-ignore]

@@ -204,3 +204,21 @@ def _makes_kernels(file):
         isinstance(node, ast.ImportFrom) and node.module == "numba"
         for node in ast.walk(ast.parse(file.read_text("utf-8")))
     )
+
+
+def test_two_processes_name_the_code_of_a_kernel_differently():
+    script = (
+        INIT
+        + """
+from numba import njit
+shifted = njit(lambda x: x + 1.0)
+shifted(1.0)
+print(shifted.overloads[shifted.signatures[0]].fndesc.mangled_name)
+"""
+    )
+    one, other = (
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+        for _ in range(2)
+    )
+    assert one.stdout.strip()
+    assert one.stdout != other.stdout, "of two kernels in one process, one would run the code of the other"
