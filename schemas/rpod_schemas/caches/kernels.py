@@ -32,6 +32,8 @@ from numba.core.dispatcher import Dispatcher
 
 _NUMBERS = (bool, int, float, complex, str, bytes)
 _OWN = f"{__name__}."
+_FORM = 2
+"""Form of the cached code. That of form 1, with the same names in all processes, is not used any more."""
 _NUMBER_BITS = 62
 """Bits of the number from which a process counts: two of thousands of processes never overlap."""
 
@@ -59,7 +61,7 @@ class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, un
     def get_source_stamp(self) -> bytes:
         """Return a digest of the kernel's file and of all that is compiled into the kernel from elsewhere."""
         own = super().get_source_stamp()  # type: ignore[no-untyped-call]
-        return hashlib.sha256(repr((own, sorted(_parts(self._globals, set())))).encode()).digest()
+        return hashlib.sha256(repr((_FORM, own, sorted(_parts(self._globals, set())))).encode()).digest()
 
 
 class UserProvided(_Watching, caching.UserProvidedCacheLocator):
