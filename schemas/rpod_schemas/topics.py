@@ -4,7 +4,7 @@ Nothing else in the project writes a topic name, a key expression or a quality o
 string. A test holds this table equal to the one in ``schemas/ICD.md``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Protocol
 
@@ -70,15 +70,15 @@ class Topic:
         """Return this topic for a sensor: ``<camera>/camera_info`` of ``pmd`` is ``pmd/camera_info``."""
         if not self.name.startswith("<"):
             raise ValueError(f"{self.name} belongs to no sensor")
-        return Topic(f"{sensor}/{self.name.split('/', 1)[1]}", self.type, self.latched)
+        return self.under(sensor)
 
     def under(self, prefix: str) -> "Topic":
         """Return an estimate's topic under a prefix: ``estimate/pose`` under ``b`` is ``b/pose``."""
-        return Topic(f"{prefix}/{self.name.split('/', 1)[1]}", self.type, self.latched)
+        return replace(self, name=f"{prefix}/{self.name.split('/', 1)[1]}")
 
     def at(self, frame: str) -> "Topic":
-        """Return this topic for a frame of the target or of a body, with the frame's name for ``<frame>``."""
-        return Topic(self.name.replace("<frame>", frame), self.type, self.latched)
+        """Return this topic with a frame's name for ``<frame>``; a topic of no frame stays as it is."""
+        return replace(self, name=self.name.replace("<frame>", frame))
 
     def covers(self, other: "Topic") -> bool:
         """Return whether a topic is this one, or matches it with ``*`` for any part of its name."""
@@ -207,6 +207,9 @@ SENT_BY: dict[str, tuple[str, ...]] = {
 
 OF_MANY: tuple[Topic, ...] = (TF, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS)
 """Topics that several services publish at the same time, each its own content."""
+
+ESTIMATES: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.name.startswith("estimate/"))
+"""Topics of an estimator; each has a prefix of its own in place of ``estimate``."""
 
 ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
 """Topics that stand outside of all namespaces."""

@@ -7,20 +7,7 @@ import zenoh
 
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import sensor_kinds
-from rpod_schemas.topics import (
-    BODY,
-    CONTRADICTION,
-    ESTIMATE,
-    ESTIMATE_FRAME,
-    ESTIMATE_JOINTS,
-    ESTIMATE_POSE,
-    INTEGRITY,
-    STATUS,
-    TOPICS,
-    VALIDITY,
-    Namespace,
-    Topic,
-)
+from rpod_schemas.topics import ESTIMATES, TOPICS, Namespace, Topic
 
 
 def patterns() -> list[Topic]:
@@ -34,17 +21,9 @@ def patterns() -> list[Topic]:
     ]
 
 
-_ESTIMATES = ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY, STATUS
-
-
 def _pattern(topic: Topic) -> Topic:
-    if topic.name.startswith("<"):
-        return topic.of("*")
-    if topic == BODY:
-        return topic.at("*")
-    if topic == ESTIMATE_FRAME:
-        return topic.under("*").at("*")
-    return topic.under("*") if topic in _ESTIMATES else topic
+    of_any = topic.name.startswith("<") or topic in ESTIMATES
+    return (topic.under("*") if of_any else topic).at("*")
 
 
 class Extras:

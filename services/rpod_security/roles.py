@@ -12,14 +12,9 @@ from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_schemas.topics import (
     BODY,
     CLOCK,
-    CONTRADICTION,
     DIAGNOSTICS,
-    ESTIMATE,
-    ESTIMATE_FRAME,
-    ESTIMATE_JOINTS,
-    ESTIMATE_POSE,
+    ESTIMATES,
     IMU,
-    INTEGRITY,
     PARAMETER_EVENTS,
     REFERENCE,
     ROSOUT,
@@ -31,16 +26,11 @@ from rpod_schemas.topics import (
     TOPICS,
     TRUTH,
     TRUTH_TOPICS,
-    VALIDITY,
     Topic,
 )
 
 ROUTER, LINK = "router", "link"
 ANY = "*"
-_ESTIMATES = (
-    ESTIMATE, ESTIMATE_POSE, ESTIMATE_FRAME, ESTIMATE_JOINTS, CONTRADICTION, VALIDITY, INTEGRITY,
-    STATUS,
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -68,7 +58,7 @@ class Role:
 
 
 _STATUS_OF_ALL = {ANY: ("status",)}
-_EVERYTHING = tuple(topic for topic in TOPICS if not topic.name.startswith("<") and topic not in _ESTIMATES)
+_EVERYTHING = tuple(topic for topic in TOPICS if not topic.name.startswith("<") and topic not in ESTIMATES)
 
 ROLES: dict[str, Role] = {
     LINK: Role("joins a router to that of another host; it may do what the members there may"),
@@ -188,23 +178,23 @@ class Member:
         mine = ROLES[self.role].sends_as
         senders = {name for name in mine if name != "sensor"}
         topics = [topic for topic in TOPICS if senders & set(SENT_BY[topic.name])]
-        found = [topic.under(self.prefix) if topic in _ESTIMATES else topic for topic in topics]
+        found = [topic.under(self.prefix) if topic in ESTIMATES else topic for topic in topics]
         if "sensor" in mine:
             found += [TF_STATIC, *self._of_sensors()]
-        return tuple(dict.fromkeys(_pattern(topic) for topic in (*found, *_OF_ALL)))
+        return tuple(dict.fromkeys(topic.at(ANY) for topic in (*found, *_OF_ALL)))
 
     @property
     def reads(self) -> tuple[Topic, ...]:
         """Topics that it may read; ``*`` stands for a part of the name."""
         role = ROLES[self.role]
-        estimates = _ESTIMATES if role.reads_estimates else tuple(set(role.reads) & {STATUS})
+        estimates = ESTIMATES if role.reads_estimates else tuple(set(role.reads) & {STATUS})
         # ``*/odometry`` is a topic of the truth too
         prefixes = (ANY,) if set(TRUTH_TOPICS) <= set(role.reads) else self.prefixes
         found = [topic for topic in role.reads if topic != STATUS]
         found += [topic.under(prefix) for topic in estimates for prefix in prefixes]
         if role.reads_sensors:
             found += self._of_sensors()
-        return tuple(dict.fromkeys(_pattern(topic) for topic in found))
+        return tuple(dict.fromkeys(topic.at(ANY) for topic in found))
 
     def _of_sensors(self) -> list[Topic]:
         """Return the topics of the configured sensors; those of all installed kinds if none is configured."""
@@ -242,11 +232,6 @@ class Member:
         asked = ROLES[self.role].asks
         verbs = asked.get(other.role, asked.get(ANY, ()))
         return other.serves if ANY in verbs else tuple(verb for verb in verbs if verb in other.serves)
-
-
-def _pattern(topic: Topic) -> Topic:
-    """Return a topic with ``*`` for the name of a frame."""
-    return topic.at(ANY) if "<frame>" in topic.name else topic
 
 
 def needs_sensors(role: str) -> bool:
