@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -20,6 +19,7 @@ from rich.table import Table
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod import __version__
+from rpod.console import table_console
 from rpod_geometry.rays import RayGrid, cast
 from rpod_logger.writer import LogFile, WriterSettings
 from rpod_pose.lidar.scan_pattern import ScanPattern
@@ -46,8 +46,6 @@ _SUN_W_m2 = np.array([680.0, -817.0, -844.0])
 _OBLIQUE = Rotation.from_euler("ZYX", (30.0, 40.0, 20.0), degrees=True)
 """A typical attitude of the LIDAR's target: no face is perpendicular to the line of sight."""
 _BUS_HZ = 45.0
-_WIDTH = 120
-"""Width of the table, in characters, if it is not printed on a terminal."""
 _BUS_FRAMES = 135
 
 
@@ -86,7 +84,7 @@ def bench_command(*, as_json: bool) -> int:
             )
         )
     else:
-        Console(width=None if sys.stdout.isatty() else _WIDTH).print(_table(rows))
+        table_console().print(_table(rows))
     return EXIT_OK
 
 

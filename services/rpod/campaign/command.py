@@ -11,11 +11,11 @@ from pathlib import Path
 from signal import SIGHUP, SIGTERM
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table as RichTable
 
 from rpod import __version__
 from rpod.campaign.progress import CampaignProgress
+from rpod.console import table_console
 from rpod.errors import EXIT_INTERRUPTED, failed
 from rpod.scenarios import find as find_scenario
 from rpod.scenarios import shipped
@@ -141,8 +141,7 @@ def _executor(jobs: int | None, cluster: str | None) -> Callable[[Callable[[str]
 
 
 def _print(sections: Sequence[Section], report: Path, trials: Path) -> None:
-    console = Console()
-    console = console if console.is_terminal else Console(width=_PLAIN_WIDTH)
+    console = table_console(plain_width=_PLAIN_WIDTH)
     for section in sections:
         console.print(f"\n{section.title}", style="bold")
         if section.note:

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
+from rpod.console import table_console
 from rpod.doctor import bus as over_bus
 from rpod.doctor import host
 from rpod.doctor.finding import Finding, Level
@@ -107,4 +107,4 @@ def _print(findings: list[Finding]) -> None:
         table.add_column(heading)
     for each in findings:
         table.add_row(each.check, f"[{_STYLES[each.level]}]{each.level}[/]", each.text, each.remedy)
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    table_console().print(table)

@@ -8,10 +8,10 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
+from rpod.console import table_console
 from rpod.errors import failed
 from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import watch
@@ -155,7 +155,7 @@ def show(results: list[CheckResult]) -> None:
         faults = f" [{', '.join(each.faults)}] {each.remedy}" if each.faults else ""
         text = each.text + faults
         table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    table_console().print(table)
 
 
 def _folded(results: list[CheckResult]) -> list[CheckResult]:

@@ -7,10 +7,10 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from rpod import __version__
+from rpod.console import table_console
 from rpod.errors import failed
 from rpod.reloading import run_reloading, with_bus
 from rpod_driver import DriverError, host
@@ -90,7 +90,7 @@ def faults_command(*, as_json: bool) -> int:
     for fault in ALL_FAULTS:
         size = "" if fault.size is None else str(fault.size)
         table.add_row(fault.name, fault.subject, size, fault.line, fault.cause)
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    table_console().print(table)
     return EXIT_OK
 
 

@@ -2,14 +2,13 @@
 
 import os
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
 
+from rpod.console import table_console
 from rpod.errors import RunError, failed
 from rpod.up.host_state import STOP_TIMEOUT_S, FacilityStatus, holder, read_facility, read_status
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, configure_logging
@@ -119,4 +118,4 @@ def _print(status: FacilityStatus) -> None:
         reserve = "" if each.reserve == "none" else f"{each.reserve} {held}"
         table.add_row(each.name, each.state, str(each.pid or ""), f"{each.up_s:.0f} s", memory, reserve,
                       str(each.restarts), each.last_end, each.message)  # fmt: skip
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    table_console().print(table)
