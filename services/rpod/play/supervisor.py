@@ -1,14 +1,8 @@
-"""Starts services as processes, watches them, and stops them in order.
-
-Each service gets a configuration file and a log file in the run's folder, a session of its own (so that only
-the supervisor receives Ctrl-C) and a pipe that closes when the supervisor ends.
-"""
+"""Starts services as processes, watches them, and stops them in order."""
 
 import logging
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +12,7 @@ from typing import Self
 from pydantic import BaseModel
 
 from rpod.errors import ServiceDiedError
-from rpod_runtime.process.lifecycle import SUPERVISED
+from rpod.service_process import ServiceFiles, close_pipe
 from rpod_runtime.process.processes import end_process
 
 log = logging.getLogger(__name__)
@@ -31,19 +25,14 @@ _TAIL_LINES = 8
 @dataclass
 class _Service:
     process: subprocess.Popen[bytes]
-    log: Path
+    files: ServiceFiles
     optional: bool
     config: BaseModel
     down: bool = False
     """Whether it was killed on purpose, and is not missed until it is started again."""
 
-    def close(self) -> None:
-        """Release the resources of a process that has ended."""
-        if self.process.stdin:
-            self.process.stdin.close()
-
-    def tail(self) -> list[str]:
-        return self.log.read_text("utf-8", errors="replace").splitlines()[-_TAIL_LINES:]
+    def died(self, name: str, code: int) -> ServiceDiedError:
+        return ServiceDiedError(name, code, self.files.last_lines(_TAIL_LINES), self.files.log)
 
 
 class Supervisor:
@@ -54,34 +43,22 @@ class Supervisor:
 
     def __init__(self, directory: Path, say: Callable[[str], None]) -> None:
         self._say = say
-        self._configurations = directory / "config"
-        self._logs = directory / "logs"
+        self._directory = directory
         self._services: dict[str, _Service] = {}
 
-    def start(self, verb: str, config: BaseModel, *, optional: bool = False, again: bool = False) -> None:
+    def start(self, verb: str, config: BaseModel, *, optional: bool = False) -> None:
         """Start ``rpod <verb>`` with a configuration; an optional service may end at any time.
 
         A service that is started again adds to its file of log lines.
         """
-        self._configurations.mkdir(exist_ok=True)
-        self._logs.mkdir(exist_ok=True)
-        file = self._configurations / f"{verb}.json"
-        file.write_text(config.model_dump_json(indent=2), "utf-8")
-        output = self._logs / f"{verb}.log"
-        with output.open("ab" if again else "wb") as stream:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "rpod", verb, "--config", str(file)],
-                stdin=subprocess.PIPE,
-                stdout=stream,
-                stderr=stream,
-                start_new_session=True,
-                env=os.environ | {SUPERVISED: "1"},
-            )
-        self._services[verb] = _Service(process, output, optional, config)
+        files = ServiceFiles(self._directory, verb)
+        files.write_config(config)
+        process = files.start([verb, "--config", str(files.config)], {})
+        self._services[verb] = _Service(process, files, optional, config)
 
     def log_of(self, verb: str) -> Path:
         """Return the file with a service's log lines."""
-        return self._services[verb].log
+        return self._services[verb].files.log
 
     def check(self) -> None:
         """Check that all services run. An optional one that has ended is reported once.
@@ -93,11 +70,11 @@ class Supervisor:
             code = service.process.poll()
             if code is None or service.down:
                 continue
-            died = ServiceDiedError(name, code, service.tail(), service.log)
+            died = service.died(name, code)
             if not service.optional:
                 raise died
             log.warning("the run goes on without %s: %s", name, died if code else "it was closed")
-            self._services.pop(name).close()
+            close_pipe(self._services.pop(name).process)
 
     def signal(self, verb: str, number: signal.Signals) -> None:
         """Send a signal to a service, if it runs."""
@@ -117,8 +94,8 @@ class Supervisor:
         """Start a service again that was killed on purpose."""
         service = self._services.get(verb)
         if service is not None and service.down:
-            service.close()
-            self.start(verb, service.config, optional=service.optional, again=True)
+            close_pipe(service.process)
+            self.start(verb, service.config, optional=service.optional)
 
     def stop(self, verb: str) -> None:
         """Ask a service to finish, wait, and kill it if it does not.
@@ -133,16 +110,16 @@ class Supervisor:
             return
         self._say(f"stopping {verb}")
         if service.down:
-            service.close()
+            close_pipe(service.process)
             return
         try:
             code, forced = end_process(service.process, _STOP_TIMEOUT_S)
         finally:
-            service.close()
+            close_pipe(service.process)
         if forced:
             log.error("%s did not stop within %g s; it was killed", verb, _STOP_TIMEOUT_S)
         if code not in (0, -signal.SIGTERM) and not service.optional:
-            raise ServiceDiedError(verb, code, service.tail(), service.log)
+            raise service.died(verb, code)
 
     def __enter__(self) -> Self:
         return self

@@ -1,23 +1,20 @@
 """One service that is kept alive: its process, what it tells of itself, and when it is started again."""
 
 import logging
-import os
 import signal
 import socket
 import subprocess
-import sys
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal
 
+from rpod.service_process import ServiceFiles, close_pipe
 from rpod.up.reserve import Reserve
 from rpod.up.resolved import ResolvedService
 from rpod_runtime.process.awake import AwakeClock
-from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE, SUPERVISED
+from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE
 from rpod_runtime.process.notify import AT_WORK, IN_RESERVE
 from rpod_runtime.process.processes import end_process
 from rpod_runtime.process.reserve import RESERVE
@@ -29,8 +26,6 @@ _STARTING_S = 1.0
 """Time that a service that is not ready yet gets to end by itself, s; a compilation cannot be interrupted."""
 _LOG_BYTES = 16 << 20
 """Size of a file of log lines at which a restart begins a new one; the one before is kept."""
-
-NO_MORE: Mapping[str, str] = MappingProxyType({})
 
 DaemonState = Literal["starting", "ready", "failing", "waiting", "ended", "refused", "stopping", "stopped"]
 """``waiting`` is the wait before a restart, ``ended`` is over for good, ``refused`` has a wrong
@@ -76,10 +71,10 @@ class Daemon:
         self.restarts = 0
         self.last_end = ""
         """How the last process ended."""
-        self.log = state / "logs" / f"{service.name}.log"
-        self._config = state / "config" / f"{service.name}.json"
+        self._files = ServiceFiles(state, service.name)
+        self.log = self._files.log
         self._backoff = Backoff(backoff)
-        self.reserve = Reserve(service.name, lambda: self._spawn({RESERVE: "1"}))
+        self.reserve = Reserve(service.name, lambda: self._spawn(in_reserve=True))
         self._process: subprocess.Popen[bytes] | None = None
         self._born_s = 0.0
         """Time at which the process was started, monotonic clock; the other times are the manager's own."""
@@ -124,28 +119,18 @@ class Daemon:
         self._at_work = True
         log.info("%s: started, process %d", self.name, self._process.pid)
 
-    def _spawn(self, more: Mapping[str, str] = NO_MORE) -> subprocess.Popen[bytes]:
-        """Start a process, with more variables in its environment."""
-        self._write_config()
-        self.log.parent.mkdir(parents=True, exist_ok=True)
+    def _spawn(self, *, in_reserve: bool = False) -> subprocess.Popen[bytes]:
+        self._files.write_config(self.service.config)
         if self.log.exists() and self.log.stat().st_size > _LOG_BYTES:
             self.log.replace(self.log.with_suffix(".log.1"))
-        environment = os.environ | {
-            SUPERVISED: "1",
+        environment = {
             "NOTIFY_SOCKET": str(self._address),
             "WATCHDOG_USEC": str(round(1e6 * self.service.settings.hang_s)),
+            "WATCHDOG_PID": "",
         }
-        environment.pop("WATCHDOG_PID", None)
-        environment |= more
-        with self.log.open("ab") as stream:
-            return subprocess.Popen(
-                [sys.executable, "-m", "rpod", *self.service.arguments(self._config)],
-                stdin=subprocess.PIPE,
-                stdout=stream,
-                stderr=stream,
-                start_new_session=True,
-                env=environment,
-            )
+        if in_reserve:
+            environment[RESERVE] = "1"
+        return self._files.start(self.service.arguments(self._files.config), environment)
 
     def turn(self) -> None:
         """Read the process's reports, notice its end or a hang, and start it again when that is due."""
@@ -168,15 +153,11 @@ class Daemon:
             self.reserve.drop()
         self.service = service
         try:
-            self._write_config()
+            self._files.write_config(service.config)
         except OSError as error:
             log.error("%s: its configuration cannot be written: %s", self.name, error)
         if self.state == "ready":  # before that, a process does not handle the signal yet
             self.send(signal.SIGHUP)
-
-    def _write_config(self) -> None:
-        self._config.parent.mkdir(parents=True, exist_ok=True)
-        self._config.write_text(self.service.config.model_dump_json(indent=2), "utf-8")
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the process, if there is one."""
@@ -262,15 +243,12 @@ class Daemon:
         )
 
     def _release(self) -> None:
-        if self._process is not None and self._process.stdin:
-            self._process.stdin.close()
+        if self._process is not None:
+            close_pipe(self._process)
         self._process = None
 
     def _last_line(self) -> str:
-        if not self.log.exists():
-            return "none"
-        lines = self.log.read_bytes()[-4096:].decode(errors="replace").splitlines()
-        return lines[-1] if lines else "none"
+        return next(iter(self._files.last_lines(1)), "none")
 
 
 def _signal_name(number: int) -> str:

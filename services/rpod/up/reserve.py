@@ -4,9 +4,9 @@ import logging
 import subprocess
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Literal
 
+from rpod.service_process import close_pipe
 from rpod_runtime.process.processes import end_process
 
 log = logging.getLogger(__name__)
@@ -90,16 +90,14 @@ class Reserve:
         """End the process, if there is one."""
         if self._process is not None:
             _end(self._process)
-            self._release()
+            self._process, self._warm = None, False
 
     def _release(self) -> None:
-        if self._process is not None and self._process.stdin:
-            self._process.stdin.close()
+        if self._process is not None:
+            close_pipe(self._process)
         self._process, self._warm = None, False
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     end_process(process, _END_S)
-    if process.stdin:
-        with suppress(OSError):  # what was written to a process that has ended cannot be flushed
-            process.stdin.close()
+    close_pipe(process)
