@@ -4,7 +4,6 @@
 in one file, so that one rename replaces both. The folder is all that goes to the service's host.
 """
 
-import os
 import stat
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -14,6 +13,7 @@ from typing import Any, Self
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
+from rpod_schemas.caches.whole_file import whole_file
 from rpod_security.certificates import Identity, public_pem, requested
 from rpod_security.errors import CredentialsError
 
@@ -157,13 +157,8 @@ def make_private(folder: Path) -> None:
 
 def write_private(file: Path, content: bytes) -> None:
     """Replace a file in one step; at no time can others than its owner read it. Raises ``OSError``."""
-    beside = file.with_name(f".{file.name}.{os.getpid()}")
-    beside.unlink(missing_ok=True)
-    with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _PRIVATE_FILE), "wb") as stream:  # noqa: PTH123
+    with whole_file(file, mode=_PRIVATE_FILE, durable=True) as stream:
         stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-    beside.replace(file)
 
 
 def _check_private(file: Path) -> None:

@@ -5,8 +5,6 @@ and is not used.
 """
 
 import hashlib
-import os
-import tempfile
 import warnings
 import zipfile
 import zlib
@@ -16,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rpod_schemas.arrays import Array
+from rpod_schemas.caches.whole_file import whole_file
 
 DIGEST = "content_digest"
 """Name in a file of the digest of its arrays."""
@@ -57,11 +56,5 @@ def read(file: Path) -> dict[str, Array] | None:
 def write(file: Path, arrays: Mapping[str, Array]) -> None:
     """Write sealed arrays as one file, which gets its name only when it is complete. Raises ``OSError``."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.stem}-", suffix=".tmp")
-    temporary = Path(name)
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
-        temporary.replace(file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(file) as stream:
+        np.savez(stream, allow_pickle=False, **arrays)

@@ -1,1 +1,1 @@
-"""What a host keeps from one start to the next: compiled kernels, and the folder of built targets."""
+"""What a host keeps between two starts: compiled kernels, the folder of built targets, whole files."""

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rpod.errors import AlreadyUpError
+from rpod_schemas.caches.whole_file import whole_file
 from rpod_schemas.config.base import Config, check, read_document
 from rpod_schemas.config.facility.hosts import FacilityFile
 
@@ -109,9 +110,8 @@ def holder(folder: Path) -> int | None:
 
 def write_status(folder: Path, status: FacilityStatus) -> None:
     """Replace the state in one step, so that a reader never sees half of it. Raises ``OSError``."""
-    new = folder / f"{_STATUS}.new"
-    new.write_text(status.model_dump_json(indent=2) + "\n", "utf-8")
-    new.replace(folder / _STATUS)
+    with whole_file(folder / _STATUS) as stream:
+        stream.write(status.model_dump_json(indent=2).encode() + b"\n")
 
 
 def read_status(folder: Path, name: str) -> FacilityStatus:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CELL, TRIAL, AnyCampaign, Row
 from rpod_campaign.engine.errors import ForeignFolderError
+from rpod_schemas.caches.whole_file import whole_file
 
 MANIFEST = "manifest.json"
 _ABANDONED_S = 600.0
@@ -68,7 +69,8 @@ class CampaignFolder:
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
-            _write_whole(file, lambda path: path.write_bytes(text.encode()))
+            with whole_file(file) as stream:
+                stream.write(text.encode())
         elif file.read_text("utf-8") != text:
             raise ForeignFolderError(folder.path, "its manifest.json is of another campaign")
         return folder
@@ -114,7 +116,8 @@ class CampaignFolder:
 
     def write_part(self, name: str, rows: pl.DataFrame) -> None:
         """Store rows as a part with a name; a part with the same name is replaced. Raises OSError."""
-        _write_whole(self.path / f"part-{name}.parquet", rows.write_parquet)
+        with whole_file(self.path / f"part-{name}.parquet") as stream:
+            rows.write_parquet(stream)
 
     def compact(self) -> None:
         """Merge the parts into one file if there are many."""
@@ -125,7 +128,8 @@ class CampaignFolder:
         """Merge all parts into one file and return its rows."""
         parts, rows = self._parts(), self.read()
         if parts:
-            _write_whole(self.trials_file, rows.write_parquet)
+            with whole_file(self.trials_file) as stream:
+                rows.write_parquet(stream)
             for part in (*parts, *self._abandoned()):
                 part.unlink(missing_ok=True)
         return rows
@@ -158,10 +162,3 @@ def cell_parameters(cell: Any) -> dict[str, Any]:
     """Return the parameters of a cell as JSON values."""
     parameters: dict[str, Any] = json.loads(json.dumps(asdict(cell), default=str))
     return parameters
-
-
-def _write_whole(file: Path, write: Callable[[Path], object]) -> None:
-    """Write a file that gets its name only when it is complete."""
-    temporary = file.with_suffix(f".{os.getpid()}.tmp")
-    write(temporary)
-    temporary.replace(file)
