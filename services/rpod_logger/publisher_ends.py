@@ -10,18 +10,17 @@ is bounded.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from threading import Lock
-from typing import NamedTuple
 
+from rpod_logger.bus_process import BusProcess, Departure
 from rpod_runtime import Received
-from rpod_runtime.bus.link import Link, Outage, utc
+from rpod_runtime.bus.link import Link, Outage
 from rpod_runtime.process.awake import AwakeTime
 from rpod_schemas.control import StatusReply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_diagnostics
 from rpod_schemas.topics import DIAGNOSTICS, Topic
-from rpod_schemas.types import CLOSING, PUBLISHED
 
 GRACE_S = 1.0
 """Time, s, after which a message that has not arrived counts as lost; only the time counts in which this
@@ -37,7 +36,7 @@ this."""
 _OUTAGE_S = 1.0
 """Largest time between the end of a token and the loss of the link for which the link is taken as the cause,
 s."""
-_MOST_SESSIONS, _MOST_TOPICS, _MOST_GIDS, _MOST_NOTES = 1000, 1000, 64, 100
+_MOST_PROCESSES, _MOST_NOTES = 1000, 100
 _NS = 1e-9
 
 
@@ -53,70 +52,14 @@ class Endings:
     """Times without a link while the file was open."""
 
 
-class _Gone(NamedTuple):
-    """Time at which a publisher's liveliness token vanished."""
-
-    awake_s: float
-    """Time in which this process was awake until then, s."""
-    stamp_ns: int
-    """The same moment, ns of UTC."""
-
-
-@dataclass
-class _Session:
-    """One process on the bus."""
-
-    instance: str = ""
-    """Name of the service; empty for a process that sends no diagnostics of ours."""
-    gid: bytes = b""
-    first: dict[str, int] = field(default_factory=dict)
-    """Numbers of published messages in the first diagnostics, by topic."""
-    said: dict[str, int] = field(default_factory=dict)
-    """The newest numbers of published messages, by topic."""
-    reported_s: float = 0.0
-    """Time of the newest numbers."""
-    closing: bool = False
-    arrived: dict[str, dict[bytes, int]] = field(default_factory=dict)
-    """Last number that arrived, by topic and gid."""
-    topics: set[str] = field(default_factory=set)
-    """Recorded topics of which it has, or had, a publisher."""
-    left: dict[str, _Gone] = field(default_factory=dict)
-    """Time at which the publisher of a topic was gone."""
-    told: dict[str, int] = field(default_factory=dict)
-    """Number of messages by topic that an earlier file says are missing."""
-
-    @property
-    def gone(self) -> _Gone | None:
-        """Time at which the service was gone; None if it is there."""
-        return self.left.get(DIAGNOSTICS.name) if self.instance else None
-
-    @property
-    def is_there(self) -> bool:
-        """Whether it is a service that has not ended."""
-        return bool(self.instance) and DIAGNOSTICS.name in self.topics and self.gone is None
-
-    def last(self, topic: str) -> int:
-        """Return the number of messages of a topic up to the last one that arrived."""
-        return sum(self.arrived.get(topic, {}).values())
-
-    def shortfalls(self) -> list[str]:
-        """Return what has not arrived of what was published, by topic."""
-        found = []
-        for topic in sorted(self.topics - {DIAGNOSTICS.name}):  # the last diagnostics arrived by themselves
-            said, last = self.said.get(topic, 0), self.last(topic)
-            before_the_logger = not last and said <= self.first.get(topic, 0)
-            if last + self.told.get(topic, 0) < said and not before_the_logger:
-                found.append(f"{topic}: {said} published, {last} arrived")
-        return found
-
-
 class PublisherEnds:
     """Follows publishers until they end. Safe to use from several threads."""
 
     def __init__(self, recorded: Callable[[Topic], bool], link: Link, *, own: str) -> None:
         self._recorded, self._link, self._own = recorded, link, own
         self._lock = Lock()
-        self._sessions: dict[str, _Session] = {}
+        self._processes: dict[str, BusProcess] = {}
+        """Processes by the Zenoh identity of their session."""
         self._forgotten = 0
         self._awake = AwakeTime(_JUDGEMENT_S)
         self._regained: tuple[int, float] = (0, float("-inf"))
@@ -130,68 +73,42 @@ class PublisherEnds:
         """Note a message."""
         if not received.session or received.session == self._own:
             return
-        name, gid = received.topic.name, received.attachment.gid
         with self._lock:
-            session = self._session(received.session)
-            by_gid = session.arrived.setdefault(name, {})
-            if gid in by_gid or len(by_gid) < _MOST_GIDS:
-                by_gid[gid] = received.attachment.sequence
-            if name == DIAGNOSTICS.name:
-                self._take_numbers(session, received)
+            process = self._process(received.session)
+            process.note_message(received)
+            if received.topic.name == DIAGNOSTICS.name:
+                _take_diagnostics(process, received)
 
-    def came(self, name: str, topic: Topic) -> None:
+    def came(self, session: str, topic: Topic) -> None:
         """Note the liveliness token of a publisher, by the Zenoh identity of its session."""
-        if name == self._own or not self._recorded(topic):
-            return
-        with self._lock:
-            session = self._session(name)
-            session.left.pop(topic.name, None)
-            if len(session.topics) < _MOST_TOPICS:
-                session.topics.add(topic.name)
+        if session != self._own and self._recorded(topic):
+            with self._lock:
+                self._process(session).note_publisher(topic.name)
 
-    def gone(self, name: str, topic: Topic, *, now_s: float, now_ns: int) -> None:
+    def gone(self, session: str, topic: Topic, *, now_s: float, now_ns: int) -> None:
         """Note that the token of a publisher is gone."""
         with self._lock:
-            session = self._sessions.get(name)
-            if session is not None and topic.name in session.topics:
-                session.left[topic.name] = _Gone(self._awake.at(now_s), now_ns)
+            if session in self._processes:
+                departure = Departure(self._awake.at(now_s), now_ns)
+                self._processes[session].note_departure(topic.name, departure)
 
     def confirm(self, statuses: Iterable[StatusReply], *, now_s: float) -> None:
         """Note the answers of services; each holds its numbers as its diagnostics do."""
         with self._lock:
             for status in statuses:
-                named = [each for each in self._sessions.values() if each.instance == status.name]
-                there = [each for each in named if each.is_there]
-                if len(there) == 1:
-                    self._say(there[0], status.counters, now_s)
+                named = [each for each in self._processes.values() if each.service == status.name]
+                running = [each for each in named if each.is_running_service]
+                if len(running) == 1:
+                    running[0].note_report(status.counters, now_s)
 
-    def _session(self, name: str) -> _Session:
-        if name not in self._sessions and len(self._sessions) >= _MOST_SESSIONS:
-            known = iter(self._sessions)
-            others = (each for each in self._sessions if not self._sessions[each].instance)
-            oldest = self._sessions.pop(next(others, next(known)))
-            self._forgotten += bool(oldest.instance or oldest.topics)
-        return self._sessions.setdefault(name, _Session())
-
-    def _take_numbers(self, session: _Session, received: Received) -> None:
-        try:
-            diagnostics = read_diagnostics(received.decode())
-        except MessageRejectedError:
-            return
-        for diagnostic in diagnostics[:1]:  # a service of ours sends one
-            counters = {name: int(text) for name, text in diagnostic.values.items() if text.isdecimal()}
-            if any(name.startswith(PUBLISHED) for name in counters):
-                session.instance, session.gid = diagnostic.name, received.attachment.gid
-                session.closing = diagnostic.values.get(CLOSING) == "true"
-                self._say(session, counters, received.arrival_s)
-
-    def _say(self, session: _Session, counters: dict[str, int], now_s: float) -> None:
-        numbers = {
-            name.removeprefix(PUBLISHED): n for name, n in counters.items() if name.startswith(PUBLISHED)
-        }
-        session.said = {name: numbers[name] for name in sorted(numbers)[:_MOST_TOPICS]}
-        session.first = session.first or dict(session.said)
-        session.reported_s = now_s
+    def _process(self, session: str) -> BusProcess:
+        """Return the process of a session; a new one may take the place of the oldest, best of no service."""
+        known = self._processes
+        if session not in known and len(known) >= _MOST_PROCESSES:
+            others = (each for each, process in known.items() if not process.service)
+            oldest = known.pop(next(others, next(iter(known))))
+            self._forgotten += bool(oldest.service or oldest.topics)
+        return known.setdefault(session, BusProcess(session))
 
     # --- what follows from it ---
 
@@ -199,49 +116,48 @@ class PublisherEnds:
         """Decide about the publishers that are gone and of which nothing comes any more."""
         with self._lock:
             self._note_link(self._awake.at(now_s))  # in each turn: a pause of this process is a short time
-            for name, session in list(self._sessions.items()):
-                if session.instance:
-                    self._decide_service(name, session, now_s)
+            for process in list(self._processes.values()):
+                if process.service:
+                    self._decide_service(process, now_s)
                 else:
-                    self._decide_others(name, session, now_s)
+                    self._decide_others(process, now_s)
             del self._reasons[_MOST_NOTES:], self._unconfirmed[_MOST_NOTES:]
 
-    def _decide_service(self, name: str, session: _Session, now_s: float) -> None:
-        if session.gone is None:
+    def _decide_service(self, process: BusProcess, now_s: float) -> None:
+        departed = process.departed
+        if departed is None:
             return
-        if session.closing and not session.shortfalls():
-            del self._sessions[name]
-        elif self._is_final(session.gone, now_s):
-            self._reasons.append(_incomplete_at_end(name, session, session.gone.stamp_ns))
-            del self._sessions[name]
+        if process.closing and not process.missing():
+            del self._processes[process.session]
+        elif self._is_final(departed, now_s):
+            self._reasons.append(process.incomplete_at_end(departed))
+            del self._processes[process.session]
 
-    def _decide_others(self, name: str, session: _Session, now_s: float) -> None:
-        for topic, gone in list(session.left.items()):
-            if self._is_final(gone, now_s):
-                last = max(session.arrived.get(topic, {}).values(), default=0)
-                self._unconfirmed.append(
-                    f"{topic}: a publisher of session {name} ended at {utc(gone.stamp_ns)} and does not "
-                    f"say its last number; the last that arrived is {last}"
-                )
-                del session.left[topic]
-                session.topics.discard(topic)
-                if not session.topics:
-                    del self._sessions[name]
+    def _decide_others(self, process: BusProcess, now_s: float) -> None:
+        for topic, departure in list(process.departures.items()):
+            if self._is_final(departure, now_s):
+                self._unconfirmed.append(process.unconfirmed_end(topic, departure))
+                process.forget_publisher(topic)
+                if not process.topics:
+                    del self._processes[process.session]
 
-    def _is_final(self, gone: _Gone, now_s: float) -> bool:
+    def _is_final(self, departure: Departure, now_s: float) -> bool:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
         awake_s = self._awake.at(now_s)
-        if self._left_with_link(gone.stamp_ns):
+        if self._left_with_link(departure):
             return not self._link.lost and awake_s - self._regained[1] > RETURN_S
-        return awake_s - gone.awake_s > GRACE_S
+        return awake_s - departure.awake_s > GRACE_S
 
     def _note_link(self, awake_s: float) -> None:
         for outage in self._link.outages()[-1:]:
             if outage.end_ns is not None and outage.end_ns != self._regained[0]:
                 self._regained = outage.end_ns, awake_s
 
-    def _left_with_link(self, gone_ns: int) -> bool:
-        return any(abs(gone_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages())
+    def _left_with_link(self, departure: Departure) -> bool:
+        """Return whether a publisher has gone because the link was lost."""
+        return any(
+            abs(departure.stamp_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages()
+        )
 
     def is_open(self, since_s: float) -> bool:
         """Return whether something may still arrive that decides about a publisher.
@@ -252,14 +168,14 @@ class PublisherEnds:
         if self._link.lost:
             return False
         with self._lock:
-            return any(self._waits_for(session, since_s) for session in self._sessions.values())
+            return any(self._may_still_tell(process, since_s) for process in self._processes.values())
 
-    def _waits_for(self, session: _Session, since_s: float) -> bool:
-        if session.gone is not None:
+    def _may_still_tell(self, process: BusProcess, since_s: float) -> bool:
+        """Return whether a process may still report its numbers, or its missing messages arrive."""
+        if process.departed is not None:
             # a service that was lost with the link may be away for long
-            return not self._left_with_link(session.gone.stamp_ns)
-        silent = session.reported_s < since_s and not session.closing
-        return session.is_there and (silent or bool(session.shortfalls()))
+            return not self._left_with_link(process.departed)
+        return process.is_running_service and (process.is_silent(since_s) or bool(process.missing()))
 
     def conclude(self, since_s: float) -> None:
         """Add the reasons that follow from services that are still there, when a file is closed.
@@ -268,12 +184,12 @@ class PublisherEnds:
             since_s: time since which each service that is there should have reported its numbers.
         """
         with self._lock:
-            for name, session in list(self._sessions.items()):
-                if reason := _incomplete_at_close(name, session, since_s):
+            for process in list(self._processes.values()):
+                if reason := process.incomplete_at_close(since_s):
                     self._reasons.append(reason)
-                    session.told = {topic: n - session.last(topic) for topic, n in session.said.items()}
-                if session.gone is not None:
-                    del self._sessions[name]
+                    process.note_missing_as_reported()
+                if process.departed is not None:
+                    del self._processes[process.session]
 
     def add_reason(self, reason: str) -> None:
         """Add a reason why the file that is open is not complete."""
@@ -287,34 +203,17 @@ class PublisherEnds:
             reasons = [f"the bus was lost: {outage}" for outage in outages] + self._reasons
             if self._forgotten:
                 reasons.append(
-                    f"the ends of {self._forgotten} of more than {_MOST_SESSIONS} sessions are not known"
+                    f"the ends of {self._forgotten} of more than {_MOST_PROCESSES} sessions are not known"
                 )
             endings = Endings(tuple(reasons), tuple(self._unconfirmed), outages)
             self._reasons, self._unconfirmed, self._forgotten = [], [], 0
         return endings
 
 
-def _who(name: str, session: _Session) -> str:
-    return f"{session.instance} (session {name}, gid {session.gid.hex()})"
-
-
-def _incomplete_at_close(name: str, session: _Session, since_s: float) -> str:
-    """Return why the last numbers of a service are not known when a file is closed; empty if they are."""
-    if session.gone is not None:
-        return (
-            f"{_who(name, session)} was there until {utc(session.gone.stamp_ns)} and has not come back since"
-        )
-    if not session.is_there:
-        return ""
-    if session.reported_s < since_s and not session.closing:
-        return f"{_who(name, session)} did not answer at the close: its last numbers are not known"
-    missing = session.shortfalls()
-    return f"{_who(name, session)}, at the close: {'; '.join(missing)}" if missing else ""
-
-
-def _incomplete_at_end(name: str, session: _Session, gone_ns: int) -> str:
-    """Return the sentence about a service that ended without its last messages."""
-    text = f"{_who(name, session)} ended at {utc(gone_ns)}"
-    if not session.closing:
-        text += " without saying its last numbers: it was killed or lost its link"
-    return "; ".join([text, *session.shortfalls()])
+def _take_diagnostics(process: BusProcess, received: Received) -> None:
+    try:
+        diagnostics = read_diagnostics(received.decode())
+    except MessageRejectedError:
+        return
+    for diagnostic in diagnostics[:1]:  # a service of ours sends one
+        process.note_diagnostic(diagnostic, received)
