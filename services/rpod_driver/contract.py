@@ -15,14 +15,13 @@ what needs it is not checked.
 
 import time
 from contextlib import contextmanager
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import pytest
 
 from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
-from rpod_driver.check.live import StraightNode
+from rpod_driver.check.live import observed_node
 from rpod_driver.ports import Adjustable, Counted, Drops, Synchronised
-from rpod_runtime import Node
 from rpod_runtime.process.awake import TickingClock
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.poses import make_pose
@@ -101,8 +100,7 @@ class DriverContract:
     def _watched(self, driver: Any) -> Observations:
         observer = Observer(self.kind, "sensor", self.options)
         with connected(driver) as info:
-            node = cast(Node, StraightNode(observer))
-            publisher = open_publisher(node, self.kind, "sensor", make_pose())
+            publisher = open_publisher(observed_node(observer), self.kind, "sensor", make_pose())
             if info is not None:
                 publisher.announce(info)
             end_s = time.monotonic() + self.duration_s

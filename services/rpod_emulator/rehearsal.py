@@ -2,38 +2,13 @@
 
 import os
 from contextlib import suppress
-from typing import Any, cast
 
 from rpod_emulator.channels import open_channel
 from rpod_emulator.joints import MovingJoints
-from rpod_runtime import Node
-from rpod_runtime.clock import WallClock
-from rpod_runtime.health import HealthBook
+from rpod_runtime.local_node import local_node
 from rpod_runtime.process.reserve import RESERVE
 from rpod_schemas.config.emulator import EmulatorConfig
-from rpod_schemas.topics import Topic
 from rpod_target import Target
-
-
-class _Unheard:
-    """A publisher whose messages nobody gets."""
-
-    def publish(self, message: Any) -> None:
-        """Do nothing."""
-
-    def put(self, payload: bytes | bytearray) -> None:
-        """Do nothing."""
-
-
-class _OffBus:
-    """Node for a sensor's publisher, without a bus."""
-
-    def __init__(self) -> None:
-        self.clock, self.health = WallClock(), HealthBook("rehearsal")
-
-    def publisher(self, topic: Topic) -> _Unheard:  # noqa: ARG002 - as of a node
-        """Return a publisher whose messages nobody gets."""
-        return _Unheard()
 
 
 def rehearse(config: EmulatorConfig, target: Target) -> None:
@@ -46,7 +21,6 @@ def rehearse(config: EmulatorConfig, target: Target) -> None:
         return
     still = MovingJoints(config, target).at(0.0)
     for sensor in config.sensors:
-        with suppress(
-            AttributeError
-        ):  # a sensor kind of another package that needs more of a node is warmed up later
-            open_channel(cast(Node, _OffBus()), config, sensor, still)
+        # a sensor kind of another package that needs more of a node is warmed up later
+        with suppress(AttributeError):
+            open_channel(local_node(lambda _: None), config, sensor, still)

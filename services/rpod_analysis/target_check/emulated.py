@@ -5,58 +5,27 @@ what it registers. There is no bus: messages go from the emulator to the reader.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.channels import Channel
 from rpod_pose.methods import kind_methods
-from rpod_runtime import Node
+from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.clock import WallClock
-from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.frames import SensorReader, open_reader
+from rpod_runtime.local_node import local_node
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.sensor import EmulatedSensor, SensorInput
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.registry import resolve
-from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.rmw.wire import GID_BYTES, Attachment
 from rpod_schemas.schedule import frame_at
 from rpod_schemas.sensors import SensorKind
-from rpod_schemas.topics import Topic
 from rpod_schemas.types import SensorFrame
 from rpod_target import Target
 
 _EPOCH_NS = 1_000_000_000
-
-
-@dataclass
-class _Publisher:
-    """Keeps the newest message of a topic."""
-
-    topic: Topic
-    kept: dict[str, Received]
-
-    def publish(self, message: Any) -> None:
-        self.put(encode(message))
-
-    def put(self, payload: bytes | bytearray) -> None:
-        attachment = Attachment(1, 0, bytes(GID_BYTES))
-        self.kept[self.topic.name] = Received(self.topic, "", memoryview(payload), attachment, arrival_ns=0)
-
-
-@dataclass
-class _Messages:
-    """Replacement of a node: keeps the newest message of each topic instead of publishing it."""
-
-    clock: WallClock = field(default_factory=WallClock)
-    kept: dict[str, Received] = field(default_factory=dict)
-
-    def publisher(self, topic: Topic) -> _Publisher:
-        return _Publisher(topic, self.kept)
 
 
 class EmulatedKind:
@@ -68,14 +37,14 @@ class EmulatedKind:
         self.kind, self.target = kind, target
         self.sensor: EmulatedSensor = emulated()
         self.heard: SensorInput = heard().informed_by(self.sensor)
-        self._messages = _Messages()
+        self._kept: dict[str, Received] = {}
+        """Newest message of each topic."""
         config = EmulatorConfig(target=target.source, sensors=(self.sensor,), seed=seed)
-        self._channel: Channel = resolve(kind.emulator)(
-            cast(Node, self._messages), config, self.sensor, target
-        )
+        node = local_node(lambda received: self._kept.update({received.topic.name: received}))
+        self._channel: Channel = resolve(kind.emulator)(node, config, self.sensor, target)
         self._reader: SensorReader = open_reader(kind)
         if kind.info is not None:
-            self._reader.learn(self._messages.kept[kind.info.of(self.sensor.name).name].decode())
+            self._reader.learn(self._kept[kind.info.of(self.sensor.name).name].decode())
 
         self._methods = kind_methods(self.heard)
         self.setup: Any = self._methods.setup(self.heard, self._reader.said)
@@ -98,11 +67,10 @@ class EmulatedKind:
         poses: Sequence[RigidTransform] = [T_sensor_target] * len(self.sensor.pose_times_s())
         sun = self.sensor.T_chaser_sensor.rotation.apply(sun_W_m2)
         due = frame_at(self.sensor, number, epoch_ns=_EPOCH_NS)
-        self._messages.kept.clear()
+        self._kept.clear()
         self._channel.emulate(poses, sun, due)()
         topics = {name: part.topic.of(self.sensor.name).name for name, part in self.kind.parts.items()}
-        kept = self._messages.kept
-        received = {name: kept[topic] for name, topic in topics.items() if topic in kept}
+        received = {name: self._kept[topic] for name, topic in topics.items() if topic in self._kept}
         try:
             return self._reader.read(Assembled(due.stamp_ns, received))
         except MessageRejectedError:

@@ -20,17 +20,15 @@ from rpod_emulator.faults import Faults, FaultyNode
 from rpod_estimator.estimator import Estimator
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.navigation.state import Output
-from rpod_runtime import Node, Received
+from rpod_runtime import BusClock, Node, Received
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.local_node import local_node
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.faults import BY_NAME, PlannedFault
-from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.rmw.wire import GID_BYTES, Attachment
-from rpod_schemas.topics import Namespace, Topic
+from rpod_schemas.messages import NANOSECONDS, write_clock
 
 FRAME = "frame"
 """Column that distinguishes the rows of a sequence."""
@@ -72,73 +70,40 @@ class FaultCell:
         return self.start_s + (10.0 * self.lasts_s if self.sensor == "lidar" else self.lasts_s)
 
 
-class _RecordingNode:
-    """A node that keeps the messages of one frame."""
-
-    def __init__(self) -> None:
-        self.sent: list[Received] = []
-        self._sequence = 0
-        self.now = 0
-
-    @property
-    def clock(self) -> "_RecordingNode":
-        return self
-
-    def now_ns(self) -> int:
-        return self.now
-
-    def publisher(self, topic: Topic) -> "_Publisher":
-        return _Publisher(self, topic)
-
-    def put(self, topic: Topic, message: Any) -> None:
-        self._sequence += 1
-        attachment = Attachment(self._sequence, self.now, bytes(GID_BYTES))
-        payload = memoryview(bytes(encode(message)))
-        self.sent.append(Received(topic, Namespace().key(topic), payload, attachment, self.now, session="a"))
-
-    def take(self) -> list[Received]:
-        sent, self.sent = self.sent, []
-        return sent
-
-
-@dataclass(frozen=True)
-class _Publisher:
-    node: _RecordingNode
-    topic: Topic
-
-    def publish(self, message: Any) -> None:
-        self.node.put(self.topic, message)
-
-    def lose(self) -> None:
-        """Lose a message."""
-
-
 class _Sensor:
     """The sensor of a trial: its frames as messages, with the fault."""
 
     def __init__(self, cell: FaultCell, seed: int, first: Shown) -> None:
-        self._node, self._cell = _RecordingNode(), cell
-        self._node.now = round(EPOCH_S * NANOSECONDS)
+        self._sent: list[Received] = []
+        self._clock = BusClock()
+        self._clock.set(write_clock(round(EPOCH_S * NANOSECONDS)))
         config = _sensor_config(cell)
         emulator = EmulatorConfig(target=cell.target, sensors=(config,), faults=_planned(cell))
         faults = Faults.of(emulator)
         faults.begin(emulator, round(EPOCH_S * NANOSECONDS))
         self._faults, self._name = faults, config.name
-        outlet = cast(Node, FaultyNode(cast(Node, self._node), config, faults, seed=seed))
-        self._publisher = open_publisher(outlet, config.kind, config.name, first.measurement.T_chaser_sensor)
+        node = FaultyNode(local_node(self._sent.append, self._clock), config, faults, seed=seed)
+        self._publisher = open_publisher(
+            cast(Node, node), config.kind, config.name, first.measurement.T_chaser_sensor
+        )
         self._publisher.announce(config.info())  # type: ignore[attr-defined]
 
     def announcement(self) -> list[Received]:
         """Return the latched messages."""
-        return self._node.take()
+        return self._take()
 
     def messages(self, shown: Shown) -> list[Received]:
         """Return the messages of a frame."""
         stamp_ns = shown.measurement.data.stamp_ns
-        self._node.now = stamp_ns
+        self._clock.set(write_clock(stamp_ns))
         if "silence" not in [window.fault.name for window in self._faults.at(self._name, stamp_ns)]:
             self._publisher.publish(shown.measurement.data)
-        return self._node.take()
+        return self._take()
+
+    def _take(self) -> list[Received]:
+        sent = list(self._sent)
+        self._sent.clear()
+        return sent
 
 
 def _planned(cell: FaultCell) -> tuple[PlannedFault, ...]:

@@ -2,14 +2,10 @@
 
 import time
 from threading import Event
-from typing import Any
 
 from rpod_driver.check.observations import Observations, Observer
 from rpod_runtime import Inbox, Node, Received
-from rpod_runtime.clock import WallClock
-from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.rmw.wire import Attachment
-from rpod_schemas.topics import Topic
+from rpod_runtime.local_node import local_node
 
 _POLL_S = 0.1
 
@@ -30,29 +26,11 @@ def watch(node: Node, observer: Observer, *, duration_s: float, stop: Event) -> 
     return observer.end(time.time_ns())
 
 
-class StraightNode:
-    """A node without a bus: what is published goes to an observer at once."""
+def observed_node(observer: Observer) -> Node:
+    """Return a node without a bus: the observer gets what is published at once, as if it had arrived."""
 
-    def __init__(self, observer: Observer) -> None:
-        self.clock = WallClock()
-        self._observer = observer
+    def take(received: Received) -> None:
+        observer.take_tokens([(received.topic.name, received.topic.offered.token(), received.session)])
+        observer.take(received)
 
-    def publisher(self, topic: Topic) -> "StraightPublisher":
-        """Return a publisher of a topic."""
-        return StraightPublisher(self._observer, topic)
-
-
-class StraightPublisher:
-    """A publisher without a bus."""
-
-    def __init__(self, observer: Observer, topic: Topic) -> None:
-        self._observer, self._topic, self._sequence = observer, topic, 0
-
-    def publish(self, message: Any) -> None:
-        """Hand a message to the observer, as if it had just arrived."""
-        self._sequence += 1
-        now_ns = time.time_ns()
-        attachment = Attachment(self._sequence, now_ns, self._topic.name.encode()[-16:].rjust(16))
-        payload = memoryview(bytes(encode(message)))
-        self._observer.take_tokens([(self._topic.name, self._topic.offered.token(), "driver")])
-        self._observer.take(Received(self._topic, "", payload, attachment, now_ns, session="driver"))
+    return local_node(take)

@@ -1,5 +1,6 @@
 """``faults``: a short LIDAR sequence through messages, a fault and the estimator; cells and summaries."""
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -9,8 +10,13 @@ from rpod_campaign.faults.campaign import cells
 from rpod_campaign.faults.options import Options
 from rpod_campaign.faults.report import sections, summarise
 from rpod_campaign.faults.trial import FRAME
+from rpod_campaign.sequences.course import EPOCH_S, Shown
+from rpod_pose.measurement import Measurement
+from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_schemas.types import Mode
+from rpod_schemas.messages import NANOSECONDS, read_points
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import LidarScan, Mode
 
 
 def options(**changes):
@@ -55,3 +61,26 @@ def test_a_cell_sums_up_its_sequences_as_a_run_does_its_faults():
     assert (summary["wrong_accepted"], summary["worst_deg"]) == (1, 20.0)
     (section,) = sections([CellResult(cell, table, summary)])
     assert len(section.tables[0].rows) == 1
+
+
+def shown(time_s):
+    points_m = np.tile(np.float32((0.0, 0.0, 20.0)), (50, 1))
+    scan = LidarScan(
+        stamp_ns=round((EPOCH_S + time_s) * NANOSECONDS),
+        frame_id="lidar",
+        points_m=points_m,
+        intensity=np.ones(50, np.float32),
+        time_s=None,
+    )
+    return Shown(time_s, Measurement("lidar", scan, make_pose()))
+
+
+def test_a_sensor_announces_itself_and_its_frames_pass_through_the_fault(monkeypatch):
+    monkeypatch.setattr(trial, "lidar_of", lambda _: LidarConfig())
+    cell = cells(options(fault=("glints",)))[-1]
+    sensor = trial._Sensor(cell, 0, shown(0.0))
+    assert {message.topic.name for message in sensor.announcement()} == {"tf_static", "lidar/info"}
+    (before,), (during,) = (sensor.messages(shown(time_s)) for time_s in (0.0, cell.start_s))
+    assert np.all(read_points(before.decode())["z"] == 20.0)
+    assert not np.all(read_points(during.decode())["z"] == 20.0)
+    assert during.attachment.sequence == before.attachment.sequence + 1

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_messages import KeptMessages
 from pydantic import ValidationError
 
 from rpod.play.facility import configure
@@ -22,42 +23,13 @@ from rpod_schemas.faults import FAULTS, PlannedFault
 from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_image, read_stamp, read_transforms
 from rpod_schemas.poses import make_pose
-from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import FAULTS as FAULTS_TOPIC
+from rpod_schemas.topics import TF_STATIC
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.faults import injection
 
 SECOND_NS = 1_000_000_000
 CAMERA = Camera(width=24, height=36, fx=30.0, fy=30.0, cx=11.5, cy=17.5)
-
-
-class Kept:
-    """A node that keeps what is published: topic, message, publisher."""
-
-    def __init__(self) -> None:
-        self.messages, self.publishers = [], []
-
-    @property
-    def clock(self):
-        return self
-
-    def now_ns(self) -> int:
-        return SECOND_NS
-
-    def publisher(self, topic):
-        self.publishers.append(topic)
-        return KeptPublisher(self, topic, len(self.publishers))
-
-
-class KeptPublisher:
-    def __init__(self, node, topic, number) -> None:
-        self._node, self._topic, self._number = node, topic, number
-
-    def publish(self, message, *, since_ns=None) -> None:  # noqa: ARG002
-        self._node.messages.append((self._topic.name, message, self._number))
-
-    def lose(self) -> None:
-        self._node.messages.append((self._topic.name, None, self._number))
 
 
 def config(*faults: PlannedFault, **changes) -> EmulatorConfig:
@@ -68,14 +40,14 @@ class Camera24:
     """A camera behind a faulty node."""
 
     def __init__(self, *faults: PlannedFault, **changes) -> None:
-        self.node = Kept()
+        self.kept = KeptMessages()
         self.faults = Faults.of(config(*faults, **changes))
-        self.outlet = FaultyNode(self.node, PmdConfig(), self.faults, seed=3)
+        self.outlet = FaultyNode(self.kept.node, PmdConfig(), self.faults, seed=3)
         self.publisher = CameraPublisher(self.outlet, "pmd", T_chaser_sensor=make_pose())
 
     def frame(self, stamp_s: float) -> dict[str, object]:
         """Publish a frame; return what came of its parts."""
-        before = len(self.node.messages)
+        before = len(self.kept.received)
         depth_m = np.full((36, 24), 4.0 + stamp_s, np.float32)
         amplitude = np.full((36, 24), 900, np.uint16)
         self.publisher.publish(
@@ -90,8 +62,8 @@ class Camera24:
         depth_m[:], amplitude[:] = -1.0, 1  # as an emulator does, which uses its arrays again
         self.outlet.refresh()
         return {
-            name.split("/")[-1 if name == "tf_static" else 1]: message
-            for name, message, _ in self.node.messages[before:]
+            received.topic.name.split("/")[-1 if received.topic == TF_STATIC else 1]: received.decode()
+            for received in self.kept.received[before:]
         }
 
 
@@ -175,9 +147,7 @@ def test_a_mount_is_announced_anew_when_a_fault_of_it_begins_and_ends():
     camera.faults.request(FaultRequest(fault="mount_off", start_s=1.0, duration_s=2.0), 0)
     for stamp_s in (0.5, 1.5, 2.5, 3.5):
         camera.frame(stamp_s)
-    mounts = [
-        read_transforms(message)[0][3] for name, message, _ in camera.node.messages if name == "tf_static"
-    ]
+    mounts = [read_transforms(message)[0][3] for message in camera.kept.of("tf_static")]
     away_m = [round(float(np.linalg.norm(mount.translation)), 3) for mount in mounts]
     assert away_m == [0.0, 0.08, 0.0]
 
@@ -185,8 +155,8 @@ def test_a_mount_is_announced_anew_when_a_fault_of_it_begins_and_ends():
 def test_a_second_publisher_has_an_identity_of_its_own():
     camera = Camera24(PlannedFault(fault="second_publisher"))
     camera.frame(1.0)
-    depth = [number for name, _, number in camera.node.messages if name == "pmd/depth/image_raw"]
-    assert len(set(depth)) == 2
+    depth = {each.peer for each in camera.kept.received if each.topic.name == "pmd/depth/image_raw"}
+    assert len(depth) == 2
 
 
 def test_the_faults_of_a_scenario_reach_its_emulator():
@@ -256,12 +226,12 @@ def test_each_fault_is_told_when_it_begins_with_all_before_it():
         PlannedFault(fault="glints", start_s=2.0, duration_s=3.0),
         PlannedFault(fault="blackout", sensor="pmd"),
     )
-    faults, node = Faults.of(config(*planned)), Kept()
+    faults, kept = Faults.of(config(*planned)), KeptMessages()
     faults.begin(config(*planned), 5 * SECOND_NS)
-    book = FaultBook(node)
+    book = FaultBook(kept.node)
     for stamp_s in (5, 6, 7, 8):
         book.publish(faults.begun(stamp_s * SECOND_NS, 5 * SECOND_NS))
-    told = [read_faults(decode(encode(message), FAULTS_TOPIC.type)) for _, message, _ in node.messages]
+    told = [read_faults(message) for message in kept.of(FAULTS_TOPIC.name)]
     blackout = InjectedFault("blackout", "pmd", 5 * SECOND_NS)
     glints = InjectedFault("glints", "", 7 * SECOND_NS, 10 * SECOND_NS, 0.4)
     assert told == [[blackout], [blackout, glints]]

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kept_messages import KeptMessages
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.outputs import Outputs
@@ -27,29 +28,8 @@ ALERT = Integrity(
 GRAPPLE = make_pose(rotation=Rotation.from_rotvec([0.0, 1.0, 0.0]), translation_m=(1.5, 0.0, -0.5))
 
 
-class Node:
-    """Keeps what is published, by topic, in the order of publication."""
-
-    def __init__(self):
-        self.messages, self.refused = {}, []
-
-    def publisher(self, topic):
-        return Publisher(self.messages, topic)
-
-    def reject(self, topic, _):
-        self.refused.append(topic)
-
-
-class Publisher:
-    def __init__(self, messages, topic):
-        self._messages, self.topic = messages, topic
-
-    def publish(self, message):
-        self._messages[self.topic.name] = message
-
-
 def test_estimate_and_frames_of_the_target_are_published_before_integrity_and_status_are_known():
-    node = Node()
+    kept = KeptMessages()
     covariance = np.diag([1e-4, 2e-4, 3e-4, 1e-6, 2e-6, 3e-6])
     odometry = Odometry(
         stamp_ns=1,
@@ -63,41 +43,42 @@ def test_estimate_and_frames_of_the_target_are_published_before_integrity_and_st
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
     target = SimpleNamespace(frames={"grapple": GRAPPLE}, joints=())
     refused = RefusedPixels("pmd_optical", PixelMarks(np.eye(3, dtype=np.bool_), 4))
-    outputs = Outputs(node, "second", target)
+    outputs = Outputs(kept.node, "second", target)
     outputs.publish_estimate(Output(status, odometry, refused), VALID)
     assert {
         "second/odometry",
         "second/pose",
         "second/frames/grapple",
         "second/validity",
-    } <= node.messages.keys()
-    assert not {"second/integrity", "second/status"} & node.messages.keys()
+    } <= set(kept.names)
+    assert not {"second/integrity", "second/status"} & set(kept.names)
     outputs.publish_judgement(status, ALERT)
-    marks = node.messages["second/contradiction"]
+    (marks,) = kept.of("second/contradiction")
     assert (marks.header.frame_id, marks.header.stamp.nanosec) == ("pmd_optical", 1)
     np.testing.assert_array_equal(read_image(marks), 255 * np.eye(3))
-    message = node.messages["second/frames/grapple"]
+    (message,) = kept.of("second/frames/grapple")
     assert message.header.frame_id == "chaser"
     np.testing.assert_allclose(read_pose(message.pose.pose).as_matrix(), (POSE * GRAPPLE).as_matrix())
     arm_m = POSE.rotation.apply(GRAPPLE.translation)
     expected = covariance_at(covariance, arm_m)
     np.testing.assert_allclose(message.pose.covariance.reshape(6, 6), expected)
     assert expected[0, 0] > covariance[0, 0]
-    assert list(node.messages)[-3:] == ["second/validity", "second/integrity", "second/status"]
-    told = read_integrity(node.messages["second/integrity"])
+    assert kept.names[-3:] == ["second/validity", "second/integrity", "second/status"]
+    (integrity,) = kept.of("second/integrity")
+    told = read_integrity(integrity)
     assert (told.state, told.reason, told.evidence) == (IntegrityState.ALERT, "pmd: frozen", {"a_s": 0.5})
     assert np.isnan(told.position_level_m)
-    validity = node.messages["second/validity"]
+    (validity,) = kept.of("second/validity")
     assert (validity.valid, validity.age_s) == (True, 0.05)
 
 
 def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
-    node = Node()
+    kept = KeptMessages()
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.ACQUIRING, sensor="pmd", cost_m2=-1.0)
     with pytest.raises(MessageRejectedError, match="cost_m2 is -1, needs 0 or more"):
         write_status(status)
-    Outputs(node, "estimate", SimpleNamespace(frames={}, joints=())).publish_judgement(status, ALERT)
-    sent = node.messages["estimate/status"]
+    Outputs(kept.node, "estimate", SimpleNamespace(frames={}, joints=())).publish_judgement(status, ALERT)
+    (sent,) = kept.of("estimate/status")
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason
-    assert node.refused == ["estimate/status"]
+    assert "cost_m2 is -1" in kept.node.health.rejection("estimate/status")

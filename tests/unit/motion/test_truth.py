@@ -1,9 +1,8 @@
-"""The truth's messages, with publishers that only keep them."""
-
-from types import SimpleNamespace
+"""The truth's messages, through a node without a bus."""
 
 import numpy as np
 import pytest
+from kept_messages import KeptMessages
 
 from rpod_motion.motion import Motion, build_motion
 from rpod_motion.truth import TruthPublisher
@@ -11,29 +10,10 @@ from rpod_motion.truth_error import TruthError
 from rpod_schemas.config.motion import BodyMotionConfig, MotionConfig, TruthErrorConfig
 from rpod_schemas.messages import read_odometry, read_transforms
 from rpod_schemas.poses import make_pose
-from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.topics import BODY, REFERENCE, SUN, TF, TRUTH
 
 EPOCH_NS = 1_767_225_600_000_000_000
 STEP_NS = 4_000_000
-
-
-class KeptMessages:
-    """A node's publishers."""
-
-    def __init__(self) -> None:
-        self.sent: list[tuple[str, object]] = []
-
-    def publisher(self, topic):
-        def put(payload) -> None:
-            kept.published += 1
-            self.sent.append((topic.name, decode(memoryview(payload), topic.type)))
-
-        kept = SimpleNamespace(published=0, put=put, publish=lambda message: put(encode(message)))
-        return kept
-
-    def of(self, topic):
-        return [message for name, message in self.sent if name == topic.name]
 
 
 @pytest.fixture
@@ -48,39 +28,39 @@ def motion() -> Motion:
 
 
 def test_every_tick_has_its_own_truth_in_order(motion):
-    node = KeptMessages()
-    truth = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0)
+    kept = KeptMessages()
+    truth = TruthPublisher(kept.node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0)
     for tick in range(-3, 30):
         truth.publish(tick)
-    sent = [read_odometry(message) for message in node.of(TRUTH)]
+    sent = [read_odometry(message) for message in kept.of(TRUTH.name)]
     assert [odometry.stamp_ns for odometry in sent] == [EPOCH_NS + tick * STEP_NS for tick in range(-3, 30)]
     for tick, odometry in zip(range(-3, 30), sent, strict=True):
         expected = motion.state(tick / 250.0).T_chaser_target.as_matrix()
         np.testing.assert_allclose(odometry.pose.as_matrix(), expected, atol=1e-14)
-    stamps_ns = [stamp_ns for message in node.of(TF) for stamp_ns, *_ in read_transforms(message)]
+    stamps_ns = [stamp_ns for message in kept.of(TF.name) for stamp_ns, *_ in read_transforms(message)]
     assert stamps_ns == [EPOCH_NS + tick * STEP_NS for tick in (0, 10, 20)]
 
 
 def test_the_sun_is_known_before_any_truth(motion):
-    node = KeptMessages()
-    TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0).publish(-25)
-    assert [name for name, _ in node.sent][:2] == [SUN.name, TRUTH.name]
+    kept = KeptMessages()
+    TruthPublisher(kept.node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0).publish(-25)
+    assert kept.names[:2] == [SUN.name, TRUTH.name]
 
 
 def test_a_slow_truth_is_never_made_beyond_the_motion(motion):
-    truth = TruthPublisher(KeptMessages(), motion, epoch_ns=EPOCH_NS, rate_hz=2.0)
+    truth = TruthPublisher(KeptMessages().node, motion, epoch_ns=EPOCH_NS, rate_hz=2.0)
     for tick in range(3):
         truth.publish(tick)
 
 
 def test_the_truth_states_its_error_and_the_reference_is_exact(motion):
     error = TruthError(TruthErrorConfig(), seed=1, rate_hz=250.0)
-    node = KeptMessages()
-    publisher = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, error=error)
+    kept = KeptMessages()
+    publisher = TruthPublisher(kept.node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, error=error)
     for tick in range(20):
         publisher.publish(tick)
     truth, reference = (
-        [read_odometry(message) for message in node.of(topic)] for topic in (TRUTH, REFERENCE)
+        [read_odometry(message) for message in kept.of(topic.name)] for topic in (TRUTH, REFERENCE)
     )
     for tick, (known, exact) in enumerate(zip(truth, reference, strict=True)):
         expected = motion.state(tick / 250.0).T_chaser_target
@@ -97,12 +77,12 @@ def test_the_frames_of_known_bodies_move_with_what_they_are_fixed_to_and_have_th
         "forearm": BodyMotionConfig(pose=pose, error=error, rate_hz=50.0),
         "stand": BodyMotionConfig(fixed_to="chaser", pose=pose, rate_hz=10.0),
     }
-    node = KeptMessages()
-    truth = TruthPublisher(node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, bodies=bodies)
+    kept = KeptMessages()
+    truth = TruthPublisher(kept.node, motion, epoch_ns=EPOCH_NS, rate_hz=250.0, bodies=bodies)
     for tick in range(50):
         truth.publish(tick)
     arm, stand = (
-        [read_odometry(message) for message in node.of(BODY.at(frame))] for frame in ("forearm", "stand")
+        [read_odometry(message) for message in kept.of(BODY.at(frame).name)] for frame in ("forearm", "stand")
     )
     assert [odometry.stamp_ns for odometry in arm] == [EPOCH_NS + 5 * k * STEP_NS for k in range(10)]
     assert len(stand) == 2

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from kept_messages import KeptMessages
 
 from rpod_runtime.delivery.flow import Flow
-from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_runtime.sensor_data.reduced_rate import Pace, ReducedRateCamera
 from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
 from rpod_schemas.messages import read_camera, read_image, read_stamp
-from rpod_schemas.rmw.cdr import decode, encode
 from rpod_schemas.types import Camera, PmdFrame
 
 SECOND_NS = 1_000_000_000
@@ -33,23 +32,6 @@ def test_the_pace_leaves_each_frame_its_time_on_the_link_and_begins_anew_when_st
     assert [pace.allows(round(stamp_s * SECOND_NS)) for stamp_s in (5.4, 5.5, 4.0)] == [False, True, True]
 
 
-class Kept:
-    """A node that keeps what is put on each topic."""
-
-    def __init__(self) -> None:
-        self.health, self.sent = HealthBook("test"), {}
-
-    def publisher(self, topic):
-        self.sent[topic.name] = []
-        node = self
-
-        class Publisher:
-            def publish(self, message) -> None:
-                node.sent[topic.name].append(decode(encode(message), topic.type))
-
-        return Publisher()
-
-
 def frames(count):
     camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
     random = np.random.default_rng(3)
@@ -67,13 +49,13 @@ def frames(count):
 
 @pytest.mark.parametrize("codec", ["shuffle zstd", "none"])
 def test_only_whole_frames_are_sent_within_the_bandwidth_and_to_the_bit(codec):
-    node, given = Kept(), list(frames(150))
-    reduced = ReducedRateCamera(node, "pmd", ReducedRateConfig(mbit_s=0.6, codec=codec))
+    kept, given = KeptMessages(), list(frames(150))
+    reduced = ReducedRateCamera(kept.node, "pmd", ReducedRateConfig(mbit_s=0.6, codec=codec))
     for frame in given:
         reduced.publish(frame)
     form = "image_raw" if codec == "none" else "compressed"
     camera, depth, amplitude = (
-        node.sent[f"slow/pmd/{part}"] for part in ("camera_info", f"depth/{form}", f"amplitude/{form}")
+        kept.of(f"slow/pmd/{part}") for part in ("camera_info", f"depth/{form}", f"amplitude/{form}")
     )
     stamps = [[read_stamp(message.header) for message in part] for part in (camera, depth, amplitude)]
     assert stamps[0] == stamps[1] == stamps[2]
