@@ -39,7 +39,7 @@ class Commands:
         """Number of requested triggers without a frame in time."""
         self._parameters = node.parameters
         node.serve("settings", SettingsRequest, self._settings)
-        node.serve("trigger", NoFields, lambda _: self._ask(self._trigger))
+        node.serve("trigger", NoFields, lambda _: self._run_in_driver(self._trigger))
 
     def restore(self) -> None:
         """Write the wanted settings to a device that has just been connected.
@@ -72,7 +72,7 @@ class Commands:
             except Exception as error:  # noqa: BLE001 - the query gets any error as its reply
                 answer.set_exception(error)
 
-    def _ask(self, act: Callable[[], Any]) -> Any:
+    def _run_in_driver(self, act: Callable[[], Any]) -> Any:
         answer: Future[Any] = Future()
         self._asked.put((act, answer))
         try:
@@ -94,7 +94,7 @@ class Commands:
         return SettingsReply(settings=dict(device.settings()))
 
     def _settings(self, request: SettingsRequest) -> SettingsReply:
-        reply: SettingsReply = self._ask(lambda: self._change(request))
+        reply: SettingsReply = self._run_in_driver(lambda: self._change(request))
         self._offer(reply.settings)  # in this thread: one that sets a parameter may hold its lock and wait
         return reply
 
@@ -115,7 +115,7 @@ class Commands:
             RefusedError: the device does not take it, or does not answer; the text is the device's.
         """
         try:
-            self._ask(lambda: self._change(SettingsRequest(settings={name: value})))
+            self._run_in_driver(lambda: self._change(SettingsRequest(settings={name: value})))
         except Exception as error:  # drivers raise what their device's library raises
             raise RefusedError(str(error) or type(error).__name__) from error
 

@@ -73,7 +73,7 @@ def _serve(
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
         bodies = BodyReport(node, estimator.bodies)
-        with Beacon(Validity(config.stale_after_s), outputs.tell, node.clock) as beacon:
+        with Beacon(Validity(config.stale_after_s), outputs.publish_validity, node.clock) as beacon:
             service = _Service(estimator, subscriptions, outputs, beacon, searches=live)
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")

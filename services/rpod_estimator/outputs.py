@@ -56,7 +56,7 @@ class Outputs:
         self._tf = node.publisher(TF)
         self._tf_ns = 0
 
-    def tell(self, validity: EstimateValidity) -> None:
+    def publish_validity(self, validity: EstimateValidity) -> None:
         """Publish the validity of the newest estimate."""
         self._validity.publish(write_validity(validity))
 
@@ -78,7 +78,7 @@ class Outputs:
             image = output.refused.marks.marked * np.uint8(255)
             message = write_image(output.status.stamp_ns, output.refused.frame_id, image, "mono8")
             self._contradiction.publish(message)
-        self.tell(validity)
+        self.publish_validity(validity)
 
     def publish_judgement(
         self, status: EstimatorStatus, integrity: Integrity, *, since_s: float | None = None

@@ -112,15 +112,15 @@ class Recorder:
 
         ``again`` tells the operator what begins the next recording if this one cannot begin.
         """
-        return self._do(lambda received: self._open(name, received, again=again))
+        return self._run_in_writer(lambda received: self._open(name, received, again=again))
 
     def stop(self) -> LogReply:
         """Close the log. Raises ``LoggerError`` if none is open."""
-        return self._do(self._close)
+        return self._run_in_writer(self._close)
 
     def split(self, name: str | None = None) -> LogReply:
         """Close the log and go on in a new one; each message is in exactly one. Raises ``LoggerError``."""
-        return self._do(lambda received: self._renew(name, received))
+        return self._run_in_writer(lambda received: self._renew(name, received))
 
     def fill_disk(self, duration_s: float) -> None:
         """Treat the disk as full for a time, s: an injected fault."""
@@ -172,7 +172,7 @@ class Recorder:
         counters = self._health.counters()
         return sum(count for name, count in counters.items() if name.startswith("lost/"))
 
-    def _do(self, action: Callable[[Counter[str]], LogReply]) -> LogReply:
+    def _run_in_writer(self, action: Callable[[Counter[str]], LogReply]) -> LogReply:
         outcome: Future[LogReply] = Future()
 
         def run(received: Counter[str]) -> None:

@@ -201,7 +201,7 @@ class LidarReader:
     @property
     def hint(self) -> str:
         """What its scans show that may be why they are refused; empty if nothing."""
-        return self._empty.told
+        return self._empty.text
 
     @property
     def said(self) -> LidarInfo | None:

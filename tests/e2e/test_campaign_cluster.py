@@ -128,7 +128,7 @@ def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twic
     supervisor = threading.Thread(target=disturb)
     supervisor.start()
     try:
-        results = run_campaign(disturbed, Cluster(dask.address, note=told.append), told=done.append)
+        results = run_campaign(disturbed, Cluster(dask.address, note=told.append), on_trial=done.append)
     finally:
         stop.set()
         supervisor.join()

@@ -36,10 +36,10 @@ class InjectedFault:
 
 def write_faults(stamp_ns: int, faults: Iterable[InjectedFault]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray of at least one fault."""
-    return write_diagnostics([_told(stamp_ns, fault) for fault in faults])
+    return write_diagnostics([_diagnostic_of(stamp_ns, fault) for fault in faults])
 
 
-def _told(stamp_ns: int, fault: InjectedFault) -> Diagnostic:
+def _diagnostic_of(stamp_ns: int, fault: InjectedFault) -> Diagnostic:
     values = {"where": fault.where, "begin_ns": str(fault.begin_ns)}
     if fault.end_ns is not None:
         values["end_ns"] = str(fault.end_ns)

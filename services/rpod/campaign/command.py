@@ -64,7 +64,7 @@ def campaign_command(
         return failed("campaign", error)
     try:
         with _every_signal_interrupts(), CampaignProgress(prepared, quiet=as_json) as progress:
-            results = run_campaign(prepared, executor(progress.note), told=progress.one)
+            results = run_campaign(prepared, executor(progress.note), on_trial=progress.one)
         sections = [*models_section(prepared.cells), *prepared.campaign.sections(results)]
         machine = {**executor(progress.note).described(), "machine": platform.machine()}
         report = write_page(prepared, sections, version=__version__, machine=machine)

@@ -30,7 +30,7 @@ class CampaignProgress:
         self._console = Console(stderr=True, quiet=quiet)
         self._begin_s = self._said_s = time.monotonic()
         self._bar: Progress | None = None
-        self._show: Callable[[], None] = self._say
+        self._show: Callable[[], None] = self._print_plain
 
     def __enter__(self) -> "CampaignProgress":
         prepared = self._prepared
@@ -65,7 +65,7 @@ class CampaignProgress:
         """Show a line about the workers."""
         self._console.print(text, soft_wrap=True, highlight=False)
 
-    def _say(self) -> None:
+    def _print_plain(self) -> None:
         now_s, total = time.monotonic(), self._prepared.total
         if now_s - self._said_s < _PLAIN_PERIOD_S:
             return

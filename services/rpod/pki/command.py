@@ -35,7 +35,7 @@ _PUBLISH = {"emulator": (SensorGrant(kind="pmd", name="pmd"), SensorGrant(kind="
 """Sensors of the standard scenarios, by the member of a run that publishes them."""
 
 
-def _told(body: Callable[P, None]) -> Callable[P, int]:
+def _with_exit_code(body: Callable[P, None]) -> Callable[P, int]:
     """Turn the errors of a verb into one line and an exit code."""
 
     @wraps(body)
@@ -52,7 +52,7 @@ def _told(body: Callable[P, None]) -> Callable[P, int]:
     return command
 
 
-@_told
+@_with_exit_code
 def init_command(folder: Path, *, hosts: Sequence[str], days: float) -> None:
     """Make an authority and the router's certificate."""
     validity, named_hosts = timedelta(days=days), _hosts(hosts)
@@ -80,7 +80,7 @@ def _checked(hosts: Sequence[str]) -> tuple[str, ...]:
     return tuple(hosts)
 
 
-@_told
+@_with_exit_code
 def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[str], days: float) -> None:
     """Issue the credentials of one name, or of all that ``rpod run`` needs and that have none yet."""
     authority = Authority.open(folder)
@@ -94,7 +94,7 @@ def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[
         print(f"{made}: credentials of {each}, a {its}; copy the folder to its host")
 
 
-@_told
+@_with_exit_code
 def request_command(folder: Path, role: str) -> None:
     """Make a key and a request for its certificate."""
     if role not in ROLES:
@@ -105,7 +105,7 @@ def request_command(folder: Path, role: str) -> None:
     print(f"{request}: send it to the authority; the key stays here")
 
 
-@_told
+@_with_exit_code
 def sign_command(folder: Path, request: Path, *, hosts: Sequence[str], days: float) -> None:
     """Issue the certificate of a request."""
     made = Authority.open(folder).certify(
@@ -114,14 +114,14 @@ def sign_command(folder: Path, request: Path, *, hosts: Sequence[str], days: flo
     print(f"{made}: certificate; copy the folder back, and 'rpod pki accept' it there")
 
 
-@_told
+@_with_exit_code
 def accept_command(signed: Path, folder: Path) -> None:
     """Complete the credentials of a key that waits for its certificate."""
     accept_certificate(folder, (signed / AUTHORITY).read_bytes(), (signed / IDENTITY).read_bytes())
     print(f"{folder}: credentials")
 
 
-@_told
+@_with_exit_code
 def renew_command(folder: Path, names: Sequence[str], *, days: float) -> None:
     """Renew the certificates of some names, or all that end soon."""
     authority = Authority.open(folder)
@@ -131,7 +131,7 @@ def renew_command(folder: Path, names: Sequence[str], *, days: float) -> None:
         print(f"{made}: renewed; copy the folder to its host before the old certificate ends")
 
 
-@_told
+@_with_exit_code
 def revoke_command(folder: Path, names: Sequence[str]) -> None:
     """Revoke names."""
     authority = Authority.open(folder)
@@ -140,7 +140,7 @@ def revoke_command(folder: Path, names: Sequence[str]) -> None:
         print(f"{name}: revoked; it has rights until the router restarts with new rules ('rpod pki rules')")
 
 
-@_told
+@_with_exit_code
 def rules_command(folder: Path, members: Path | None, *, out: Path | None, router: str) -> None:
     """Write the access rules of a router for the valid certificates."""
     authority = Authority.open(folder)
@@ -164,7 +164,7 @@ def rules_command(folder: Path, members: Path | None, *, out: Path | None, route
             print(f"rpod pki: {member.name} has no valid certificate, so it gets no rights", file=sys.stderr)
 
 
-@_told
+@_with_exit_code
 def show_command(folder: Path, *, as_json: bool) -> None:
     """List what was issued."""
     authority = Authority.open(folder)
@@ -196,7 +196,7 @@ def _state(entry: Entry) -> str:
     return f"ends {when}" + (f", in {left.days} days" if left < WARN_BEFORE else "")
 
 
-@_told
+@_with_exit_code
 def audit_command(record: Path) -> None:
     """Check an audit record."""
     print(f"{record}: {check(record)} lines, each as it was written")

@@ -139,11 +139,11 @@ class FaultPlayer:
             case "slow":
                 pass
             case _:
-                self._ask(fault)
+                self._ask_injector(fault)
                 return  # proxy and logger publish it themselves
         self._book.publish([fault.injected])
 
-    def _ask(self, fault: _Playing) -> None:
+    def _ask_injector(self, fault: _Playing) -> None:
         asked = fault.asked
         lasts_s = min((fault.end_ns - fault.begin_ns) / NANOSECONDS, 86_400.0)
         request = FaultRequest(fault=asked.fault, service=asked.service, size=asked.size, duration_s=lasts_s)

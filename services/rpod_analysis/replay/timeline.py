@@ -41,7 +41,7 @@ class Timeline:
         last_ns = self.start_ns
         for logged in self._log.messages(CLOCK, start_ns=since_ns):
             with self._log.unreadable.left_out(logged):
-                last_ns = max(self._told(logged), last_ns)
+                last_ns = max(self._checked_stamp_ns(logged), last_ns)
         return last_ns
 
     def advance(self, logged: Logged) -> int:
@@ -50,7 +50,7 @@ class Timeline:
             self.now_ns = logged.log_ns
         elif logged.topic == CLOCK.name:
             with self._log.unreadable.left_out(logged):
-                self.now_ns = max(self._told(logged), self.now_ns)
+                self.now_ns = max(self._checked_stamp_ns(logged), self.now_ns)
         return self.now_ns
 
     def arrival_of(self, time_ns: int) -> int:
@@ -64,8 +64,8 @@ class Timeline:
         """Return the first time on ``clock`` from an arrival on; after the last one, the time of the end."""
         for logged in self._log.messages(CLOCK, start_ns=arrival_ns):
             with self._log.unreadable.left_out(logged):
-                return self._told(logged)
+                return self._checked_stamp_ns(logged)
         return _NEVER_NS
 
-    def _told(self, logged: Logged) -> int:
+    def _checked_stamp_ns(self, logged: Logged) -> int:
         return self._stamps.check(logged, peek_stamp(logged.payload))

@@ -62,7 +62,7 @@ class Change:
     """Reason in the status of that frame; empty if its measurement was accepted."""
 
     @property
-    def told(self) -> str:
+    def explanation(self) -> str:
         """Reason in words: that of the status, else what an accepted measurement means for this change."""
         return self.reason or _ACCEPTED.get((self.before, self.after), "a measurement was accepted")
 

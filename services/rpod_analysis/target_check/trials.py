@@ -136,7 +136,7 @@ def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -
         for number, each in enumerate(conditions(emulated, target, count, seed=_SEED), start=1)
     ]
     names = tuple(dict.fromkeys(condition.name for condition, _ in seen))
-    tried = _made(emulated, target)
+    tried = _prepared_methods(emulated, target)
     for one in (each for each in tried if each.default and each.made is not None):
         for number, (condition, frame) in enumerate(seen):
             if number < len(names) or time.process_time() < until_s:
@@ -150,7 +150,7 @@ def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -
     return [_facts(one, names) for one in tried]
 
 
-def _made(emulated: EmulatedKind, target: Target) -> list[_Tried]:
+def _prepared_methods(emulated: EmulatedKind, target: Target) -> list[_Tried]:
     """Return the kind's methods as an estimator makes them, those for tracking first."""
     heard: Any = emulated.heard
     defaults = {heard.tracking.kind, heard.acquisition.kind}

@@ -20,9 +20,6 @@ from rpod_campaign.engine.trial.targets import cached_target
 _FLUSH_ROWS, _FLUSH_S = 500, 5.0
 """Number of rows, and age in s, at which a batch is stored."""
 
-Told = Callable[[int], None]
-"""Function that is called for each finished trial with the index of its cell."""
-
 
 @dataclass(frozen=True)
 class Prepared:
@@ -98,11 +95,16 @@ def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str)
 
 
 def run_campaign(
-    prepared: Prepared, executor: Executor, *, told: Told = lambda _: None
+    prepared: Prepared, executor: Executor, *, on_trial: Callable[[int], object] = lambda _: None
 ) -> list[CellResult[Any]]:
     """Run the remaining trials and return the results of all cells.
 
     If the run ends early for any reason, the finished trials are in the folder.
+
+    Args:
+        prepared: the campaign and its folder.
+        executor: where the trials run.
+        on_trial: called for each finished trial with the index of its cell.
     """
     folder, batch, kept_s = prepared.folder, list[Row](), -math.inf
     try:
@@ -110,7 +112,7 @@ def run_campaign(
             for cell, trials, rows in finished:
                 batch += rows or ()
                 for _ in trials:
-                    told(cell)
+                    on_trial(cell)
                 if len(batch) >= _FLUSH_ROWS or time.monotonic() - kept_s > _FLUSH_S:
                     folder.add(batch)
                     folder.compact()

@@ -57,14 +57,14 @@ def totals(results: Results) -> dict[str, Any]:
                 "quantile": each.quantile,
                 "right": each.right,
                 "bodies": each.bodies,
-                **{name: share.told for name, share in _effect(each, found, right, wrong).items()},
+                **{name: share.as_json for name, share in _effect(each, found, right, wrong).items()},
             }
             for each in found
         },
         "most_doubted_share": max(_doubted_shares(right, found), default=float("nan")),
         "together": {
             name: {
-                f"{kind}_{what}": _share(_by_any(rows, found, today=today, warned=what == "doubted")).told
+                f"{kind}_{what}": _share(_by_any(rows, found, today=today, warned=what == "doubted")).as_json
                 for kind, rows in (("right", right), ("wrong", wrong))
                 for what in ("refused", "doubted")
             }

@@ -99,7 +99,7 @@ def _empty_lines(seen: Observations) -> str:
     for kept in seen.kept:
         if isinstance(kept.frame, LidarScan) and kept.frame.organised:
             lines.add(kept.frame.points_m)
-    return lines.told
+    return lines.text
 
 
 def _filled_share(kept: Kept) -> float:

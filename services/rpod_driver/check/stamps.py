@@ -136,7 +136,7 @@ def _against_the_end(seen: Observations, line: str, text: str, figures: dict[str
             watch.add(last, heard.stamp_ns, sent_ns=heard.sent_ns, arrival_ns=heard.arrival_ns)
     if watch.is_settled:
         figures = figures | {"after_end_s": watch.after_s}
-        text = f"{text}; {watch.told}"
+        text = f"{text}; {watch.text}"
     sigma_s = IntegrityConfig.model_fields["clock_sigma_s"].default
     finding = watch.finding(clock_sigma_s=sigma_s, within_s=seen.options.source.arrives_within_s)
     if finding is None:

@@ -17,6 +17,7 @@ from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, WINDOW_S
 from rpod_estimator.inputs.health import InputHealth
 from rpod_estimator.inputs.published import Published
+from rpod_estimator.inputs.sensor_clock import SensorClock
 from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
@@ -24,12 +25,8 @@ from rpod_runtime.delivery.holders import Holders, Peer, SecondPublisherError
 from rpod_runtime.delivery.kept import KeptMessages
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
-from rpod_runtime.sensor_data.drift_watch import DriftWatch
-from rpod_runtime.sensor_data.end_watch import EndWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
-from rpod_runtime.sensor_data.late_watch import LateWatch
-from rpod_runtime.sensor_data.stamp_watch import StampWatch, clock_hint
-from rpod_runtime.sensor_data.step_watch import StepWatch
+from rpod_runtime.sensor_data.stamp_watch import clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -61,23 +58,18 @@ class Subscriptions:
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
         self._refused: deque[Arrived] = deque()
-        self._watches = {sensor.name: StampWatch() for sensor in config.sensors}
-        self._drifts = {sensor.name: DriftWatch() for sensor in config.sensors}
-        self._ends = {sensor.name: EndWatch() for sensor in config.sensors}
-        self._lates = {sensor.name: LateWatch(config.max_age_s) for sensor in config.sensors}
-        self._steps = {
-            sensor.name: StepWatch(config.integrity.clock_sigma_s, sensor.source.arrives_within_s)
-            for sensor in config.sensors
-        }
         self._mounts: set[str] = set()
         self._ended = False
-        self._within_s = {sensor.name: sensor.source.arrives_within_s for sensor in config.sensors}
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
         silence_s = LOCKSTEP_SILENCE_S if config.time_source == "clock" else WINDOW_S
         self.health = InputHealth(
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
+        self._clocks = {
+            sensor.name: SensorClock(sensor, config, self.health.books[sensor.name], node.health)
+            for sensor in config.sensors
+        }
         self._holders, self._gone = Holders(), SimpleQueue[tuple[str, Topic, bool, float]]()
         self._kept = KeptMessages(self._holders)
         self._used_with: dict[str, tuple[Peer, Peer]] = {}
@@ -186,8 +178,8 @@ class Subscriptions:
             keep = self._resets.get()
             self._holders.release(keep=keep, now_s=time.monotonic())
             self._reader.forget(keep=keep)
-            for watch in self._steps.values():
-                watch.forget()
+            for clock in self._clocks.values():
+                clock.accept_step()
             self.health.refusals.forget()
         for received in self._latched.wait(0.0) + parts:
             try:
@@ -223,7 +215,7 @@ class Subscriptions:
         stamp_ns = self._reader.stamp_ns(sensor, received)
         leads = part == self._reader.leading[sensor]
         if leads and not self._in_lockstep:
-            self._watch(sensor, stamp_ns, received)
+            self._clocks[sensor].note_arrival(received, stamp_ns)
         try:
             self._check_part(sensor, part, received, stamp_ns)
         except MessageRejectedError as error:
@@ -273,41 +265,6 @@ class Subscriptions:
         bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
-    def _watch(self, sensor: str, stamp_ns: int, received: Received) -> None:
-        watch, arrival_ns = self._watches[sensor], received.arrival_ns
-        self._lates[sensor].add(
-            stamp_ns,
-            arrival_ns,
-            arrival_s=received.arrival_s,
-            sent_ns=received.attachment.stamp_ns,
-            source=received.peer,
-        )
-        watch.add(stamp_ns, arrival_ns)
-        self._node.health.measure(f"stamp_age_s/{sensor}", watch.age_s)
-        if np.isfinite(watch.drift_ppm):
-            self._node.health.measure(f"clock_drift_ppm/{sensor}", watch.drift_ppm)
-        if self._drifts[sensor].add(stamp_ns, arrival_ns):
-            sigma_s = self._config.integrity.clock_sigma_s
-            drift = self._drifts[sensor].drift(sigma_s)
-            self.health.books[sensor].drift = drift.told(sigma_s) if drift is not None else ""
-
-    def _watch_end(self, sensor: str, frame: Assembled[Received], measurement: Measurement) -> None:
-        """Compare the last measurement of a frame with its sending and arrival."""
-        watch, leading = self._ends[sensor], frame.parts[self._reader.leading[sensor]]
-        was_settled = watch.is_settled
-        watch.add(
-            self._reader.last(sensor, measurement.data),
-            frame.stamp_ns,
-            sent_ns=leading.attachment.stamp_ns,
-            arrival_ns=leading.arrival_ns,
-        )
-        self._node.health.measure(f"arrives_after_s/{sensor}", watch.after_s)
-        sigma_s = self._config.integrity.clock_sigma_s
-        finding = watch.finding(clock_sigma_s=sigma_s, within_s=self._within_s[sensor])
-        self.health.books[sensor].clock = finding.text if finding is not None else ""
-        if watch.is_settled and not was_settled:
-            log.info("%s: frames arrive %s", sensor, watch.told)
-
     def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
         """Write a mount to the log in words that a person can check: no data of one sensor show its error."""
         told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
@@ -328,7 +285,7 @@ class Subscriptions:
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > self._config.max_age_s:
-            why = self._lates[sensor].why() or clock_hint(-age_s, stamp_ns)
+            why = self._clocks[sensor].why_late() or clock_hint(-age_s, stamp_ns)
             raise MessageRejectedError(
                 Reason.LATE, f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {why}"
             )
@@ -341,16 +298,11 @@ class Subscriptions:
 
     def _check_step(self, sensor: str, received: Received, stamp_ns: int) -> None:
         """Check that the sensor's clock was not set since the frames before, if its publisher is used."""
-        watch, peer = self._steps[sensor], received.peer
         try:
-            self._holders.check(received.topic.name, peer, received.arrival_s)
+            self._holders.check(received.topic.name, received.peer, received.arrival_s)
         except SecondPublisherError:
             return
-        step = watch.add(stamp_ns, received.arrival_ns, arrival_s=received.arrival_s, source=peer)
-        if watch.ended:
-            log.warning("%s: %s", sensor, watch.ended)
-        if step is not None:
-            raise MessageRejectedError(Reason.CLOCK_STEP, step.told)
+        self._clocks[sensor].check_step(received, stamp_ns)
 
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
         """Return whether a part is of the publisher of the frames, so that it counts as new as its frame.
@@ -384,7 +336,8 @@ class Subscriptions:
             if arrived.measurement is not None:
                 self._tell_mount(sensor, arrived.measurement)
                 if not self._in_lockstep:
-                    self._watch_end(sensor, frame, arrived.measurement)
+                    last = self._reader.last(sensor, arrived.measurement.data)
+                    self._clocks[sensor].note_end(last, leading, frame.stamp_ns)
         except SecondPublisherError as error:
             return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
         except PartRejectedError as error:

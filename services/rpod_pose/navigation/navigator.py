@@ -336,7 +336,7 @@ class Navigator:
                 if outcome != Outcome.OPEN:
                     reason = outcome.value if outcome == Outcome.LOST else ""
                     return state, self._output(state, event, registration, reason=reason, nis=nis)
-            reason = self._refusals.told(history, predicted, measured, nis=nis, tracked=tracked)
+            reason = self._refusals.explain(history, predicted, measured, nis=nis, tracked=tracked)
             return self._reject(state, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
             state, event.sensor

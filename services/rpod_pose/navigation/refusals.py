@@ -22,7 +22,7 @@ class Refusals:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._config = settings.filter
 
-    def told(
+    def explain(
         self,
         history: History,
         predicted: FilterState,

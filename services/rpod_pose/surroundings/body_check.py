@@ -277,7 +277,7 @@ class BodyBook:
             if record.in_a_row >= FRAMES:
                 record.state = seen.state
             if record.state is seen.state:
-                record.text = told(sensor, seen, R_chaser_sensor)
+                record.text = warning_of(sensor, seen, R_chaser_sensor)
         return record.state is not BodyState.ELSEWHERE or seen.state is BodyState.IN_PLACE
 
     @property
@@ -287,7 +287,7 @@ class BodyBook:
             yield body, sensor, record.state, record.text
 
 
-def told(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
+def warning_of(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
     """Return what an operator must know of a body, with figures and remedy; empty if it is in its place."""
     if seen.state in (BodyState.IN_PLACE, BodyState.HIDDEN):
         return ""

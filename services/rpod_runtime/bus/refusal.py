@@ -99,7 +99,7 @@ def telling_refusals() -> Iterator[None]:
     os.dup2(writer, 1)
     os.close(writer)
     zenoh.init_log_from_env_or("zenoh_link_tls=warn")
-    thread = Thread(target=_tell, args=(reader,), name="refusals", daemon=True)
+    thread = Thread(target=_log_lines, args=(reader,), name="refusals", daemon=True)
     thread.start()
     try:
         yield
@@ -109,7 +109,7 @@ def telling_refusals() -> Iterator[None]:
         thread.join(1.0)
 
 
-def _tell(reader: int) -> None:
+def _log_lines(reader: int) -> None:
     counts: Counter[str] = Counter()
     told_s: dict[str, float] = {}
     with open(reader, encoding="utf-8", errors="replace") as lines:

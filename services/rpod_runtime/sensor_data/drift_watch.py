@@ -37,7 +37,7 @@ class Drift(NamedTuple):
     """Change of the stamps against this machine's clock over the time, s."""
     time_s: float
 
-    def told(self, clock_sigma_s: float) -> str:
+    def describe(self, clock_sigma_s: float) -> str:
         """Return the text for the operator, with figures and remedies."""
         fast = self.ppm > 0.0
         queue = "" if fast else "; or its frames take longer and longer: look at the driver's queue"

@@ -29,7 +29,7 @@ class EmptyLines:
     def __init__(self) -> None:
         self._returned: deque[NDArray[np.bool_]] = deque(maxlen=_SCANS)
         self._scans = 0
-        self.told = ""
+        self.text = ""
         """Empty lines with the remedy, for the operator; empty if there are none."""
 
     def add(self, points_m: Float32Array) -> None:
@@ -42,7 +42,7 @@ class EmptyLines:
         self._returned.append(returned)
         self._scans += 1
         if self._scans <= _SCANS or self._scans % _SCANS == 0:
-            self.told = self._told()
+            self.text = self._describe()
 
     def rows(self) -> list[int]:
         """Return the rows without a return between rows that have some in the same columns."""
@@ -65,7 +65,7 @@ class EmptyLines:
             for line in range(first + 1, last)
         ]
 
-    def _told(self) -> str:
+    def _describe(self) -> str:
         return "; ".join(
             f"{len(lines)} {name if len(lines) == 1 else f'{name}s'} had no return in {len(self._returned)} "
             f"scans, between {name}s that had: gaps in or beside the target, or dead channels, which count "

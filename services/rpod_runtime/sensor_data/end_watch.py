@@ -132,7 +132,7 @@ class EndWatch:
         return min((each.after_s for each in self._least), default=float("nan"))
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """When frames arrive, in words."""
         return f"{self.after_s:.3f} s after {self._last.what}{self._on_link(self.after_s)}"
 

@@ -71,7 +71,7 @@ class Step(NamedTuple):
     """Age of the newest frame on its arrival, s."""
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """Figures and remedy, for the operator."""
         return (
             f"its stamps have moved by {self.moved_s:+.3f} s against their arrival, while the jitter of its "

@@ -80,7 +80,7 @@ def repair(triangles: FloatArray) -> RepairedMesh:
     index, moved = _stitched(index, corners, told)
     origin = np.arange(len(index))
     kept = (index != np.roll(index, -1, axis=1)).all(axis=1)
-    _tell(told, np.count_nonzero(~kept), "triangles with two equal corners were left out")
+    _note(told, np.count_nonzero(~kept), "triangles with two equal corners were left out")
     index, origin = index[kept], origin[kept]
     index, origin = _without_doubles(index, origin, corners, told)
     index, origin, split = _without_slivers(index, origin, corners, told)
@@ -122,11 +122,11 @@ def _stitched(index: Indices, corners: FloatArray, told: list[str]) -> tuple[Ind
     joined = np.arange(len(corners))
     component = components(pairs.astype(np.int64), size=len(rim))
     joined[rim] = rim[np.unique(component, return_index=True)[1]][component]
-    _tell(told, np.count_nonzero(joined != np.arange(len(corners))), "corners at gaps were joined to others")
+    _note(told, np.count_nonzero(joined != np.arange(len(corners))), "corners at gaps were joined to others")
     return joined[index], (joined[index] != index).any(axis=1)
 
 
-def _tell(told: list[str], count: int | np.integer, what: str) -> None:
+def _note(told: list[str], count: int | np.integer, what: str) -> None:
     if count:
         told.append(f"{count} {what}")
 
@@ -191,7 +191,7 @@ def _without_doubles(
         first = np.zeros(len(index), bool)
         first[np.unique(inverse, return_index=True)[1]] = True
         kept &= ~once | first
-    _tell(told, np.count_nonzero(~kept), "triangles that occur several times were kept once")
+    _note(told, np.count_nonzero(~kept), "triangles that occur several times were kept once")
     return index[kept], origin[kept]
 
 
@@ -219,7 +219,7 @@ def _without_slivers(
     """
     thin_m = _THIN * float(np.ptp(corners, axis=0).max())
     split = np.zeros(len(index), bool)
-    _tell(told, len(_slivers(corners[index], thin_m)[0]), "triangles without area were taken out")
+    _note(told, len(_slivers(corners[index], thin_m)[0]), "triangles without area were taken out")
     for _ in range(_ROUNDS):
         sliver, top = _slivers(corners[index], thin_m)
         if not len(sliver):
@@ -311,7 +311,7 @@ def _turned_alike(index: Indices, told: list[str]) -> tuple[Indices, Indices]:
     as_is = node[:count] < node[count:]
     votes = np.bincount(patch, weights=np.where(as_is, 1.0, -1.0))
     turn = two_sided & (as_is != (votes[patch] >= 0.0))
-    _tell(told, np.count_nonzero(turn), "triangles were turned over to face like their neighbours")
+    _note(told, np.count_nonzero(turn), "triangles were turned over to face like their neighbours")
     result = index.copy()
     result[turn] = result[turn][:, ::-1]
     return result, patch
@@ -326,9 +326,9 @@ def _turned_outwards(mesh: RepairedMesh, told: list[str]) -> RepairedMesh:
     inwards = closed & ~no_inside & (volumes < 0.0)
     cavity = _enclosed(mesh, inwards, closed & ~no_inside & ~inwards)
     inwards &= ~cavity
-    _tell(told, np.count_nonzero(inwards), "closed surfaces that faced inwards were turned outwards")
-    _tell(told, np.count_nonzero(cavity), "enclosed cavities are filled: no sensor sees them")
-    _tell(told, np.count_nonzero(no_inside), "closed surfaces enclose no volume: they are sheets")
+    _note(told, np.count_nonzero(inwards), "closed surfaces that faced inwards were turned outwards")
+    _note(told, np.count_nonzero(cavity), "enclosed cavities are filled: no sensor sees them")
+    _note(told, np.count_nonzero(no_inside), "closed surfaces enclose no volume: they are sheets")
     if not closed.all():
         told.append(
             f"{np.count_nonzero(~closed)} of {count} separate surfaces are open, with "

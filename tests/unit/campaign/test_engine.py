@@ -23,8 +23,8 @@ def prepared(out, **options) -> Prepared:
     return prepare(CAMPAIGN, CountingOptions(**options), out=out, version="1")
 
 
-def run_campaign(campaign: Prepared, *, jobs: int, told=lambda _: None) -> list:
-    return run_with(campaign, ProcessPool(jobs), told=told)
+def run_campaign(campaign: Prepared, *, jobs: int, on_trial=lambda _: None) -> list:
+    return run_with(campaign, ProcessPool(jobs), on_trial=on_trial)
 
 
 def rows_of(results) -> pl.DataFrame:
@@ -48,7 +48,7 @@ def test_a_complete_campaign_runs_nothing_again_and_more_trials_add_to_it(tmp_pa
     again = prepared(tmp_path, trials=4)
     assert list(again.tasks()) == []
     told = []
-    assert rows_of(run_campaign(again, jobs=1, told=told.append)).height == 8
+    assert rows_of(run_campaign(again, jobs=1, on_trial=told.append)).height == 8
     assert not told
     more = prepared(tmp_path, trials=6)
     assert {task.trial for task in more.tasks()} == {4, 5}
@@ -65,7 +65,7 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_ends_as_if_it_had_not_be
 
     told: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(prepared(tmp_path, trials=6), jobs=1, told=interrupt)
+        run_campaign(prepared(tmp_path, trials=6), jobs=1, on_trial=interrupt)
     assert not multiprocessing.active_children()
     resumed = prepared(tmp_path, trials=6)
     assert len(resumed.done) == INTERRUPTED_AFTER
@@ -146,7 +146,7 @@ def test_the_processes_of_the_trials_have_one_thread_and_this_one_keeps_its_own(
     def look(_):
         seen.append(os.environ["OMP_NUM_THREADS"])
 
-    run_campaign(prepared(tmp_path, trials=1), jobs=1, told=look)
+    run_campaign(prepared(tmp_path, trials=1), jobs=1, on_trial=look)
     assert set(seen) == {"1"}
     assert os.environ["OMP_NUM_THREADS"] == "3"
     assert "POLARS_MAX_THREADS" not in os.environ

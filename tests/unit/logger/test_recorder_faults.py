@@ -171,7 +171,7 @@ def test_a_log_cut_at_any_byte_holds_all_that_was_synced_before(desk, arrive, tm
         for size in generator.integers(1, 4_000, size=int(generator.integers(1, 12))):
             number += 1
             one.put(arrive(RAW, number, payload=generator.bytes(int(size))))
-        one.recorder._do(lambda _: one.recorder._sync())
+        one.recorder._run_in_writer(lambda _: one.recorder._sync())
         synced.append((log.stat().st_size, number))
     one.recorder.stop()
     whole = log.read_bytes()

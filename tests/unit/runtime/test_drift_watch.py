@@ -45,7 +45,7 @@ def test_arrivals_on_a_loaded_machine_are_no_drift(rate_hz, seed):
 
 
 def test_figures_and_remedy_are_told():
-    text = watched(300.0, 70).told(SIGMA_S)
+    text = watched(300.0, 70).describe(SIGMA_S)
     assert text.startswith("its clock runs 301 ppm too fast: its stamps have moved by 18.0 ms in 60 s")
     assert "integrity.clock_sigma_s declares 2 ms; synchronise the sensor by PTP or chrony" in text
-    assert "look at the driver's queue" in watched(-300.0, 70).told(SIGMA_S)
+    assert "look at the driver's queue" in watched(-300.0, 70).describe(SIGMA_S)

@@ -24,14 +24,14 @@ def lines_after(scans):
 def test_dead_rows_between_others_are_named_and_what_lies_beside_the_target_is_not(away):
     lines = lines_after([scan(dead=(4, 7, 8), away=away)] * 3)
     assert (lines.rows(), lines.columns()) == ([4, 7, 8], [])
-    assert "3 rows had no return in 3 scans" in lines.told
-    assert "write dead_rows: [4, 7, 8] for the sensor" in lines.told
+    assert "3 rows had no return in 3 scans" in lines.text
+    assert "write dead_rows: [4, 7, 8] for the sensor" in lines.text
 
 
 def test_dead_columns_are_named_too():
     lines = lines_after([scan(20, 12, dead=(5,)).transpose(1, 0, 2)] * 3)
     assert (lines.rows(), lines.columns()) == ([], [5])
-    assert lines.told.startswith("1 column had no return in 3 scans, between columns that had")
+    assert lines.text.startswith("1 column had no return in 3 scans, between columns that had")
 
 
 @pytest.mark.parametrize(
@@ -47,4 +47,4 @@ def test_dead_columns_are_named_too():
     ids=["none", "too few", "no empty row", "a row with a return at last", "another size", "only one side"],
 )
 def test_nothing_is_named_where_nothing_is_known(scans):
-    assert lines_after(scans).told == ""
+    assert lines_after(scans).text == ""

@@ -89,7 +89,7 @@ def test_no_frame_of_a_right_clock_is_refused(stamps, network, rate_hz):
         stamps_s = stamps(rng, 1.0 / rate_hz)
         arrivals_s = in_order(network(rng, stamps_s))
         refused = [step for pair in zip(stamps_s, arrivals_s, strict=True) if (step := add(one, *pair))]
-        assert not refused, f"seed {seed}: {len(refused)}, {refused[0].told}"
+        assert not refused, f"seed {seed}: {len(refused)}, {refused[0].text}"
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 45.0])
@@ -186,11 +186,11 @@ def test_a_reset_accepts_the_clock_as_it_is_and_the_text_has_figures_and_remedy(
     for number in range(60):
         step = add(one, 0.1 * number - (0.4 if number >= 50 else 0.0), 0.1 * number + 0.01)
         assert (step is not None) == (number >= 50)
-    assert step.told.startswith(
+    assert step.text.startswith(
         "its stamps have moved by -0.400 s against their arrival, while the jitter of"
     )
-    assert "explains 0.008 s" in step.told
-    assert "synchronise it by PTP or chrony" in step.told
+    assert "explains 0.008 s" in step.text
+    assert "synchronise it by PTP or chrony" in step.text
     one.forget()
     assert add(one, 6.0 - 0.4, 6.01) is None
 

@@ -121,7 +121,7 @@ def run(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
 
 def _delivery(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:
     with _LOCK:
-        campaign, cells, seed = _made(job)
+        campaign, cells, seed = _campaign_of(job)
         outcome = run_batch(campaign.trial, cells[cell], cell, seed, numbers)
         rows = _kept(job, campaign, cell, outcome.trials, outcome.rows)
         return Delivery(outcome.trials, rows, outcome.took_s, outcome.failure)
@@ -140,7 +140,7 @@ def cells_digest(cells: Sequence[Any]) -> str:
 
 
 @lru_cache(maxsize=4)
-def _made(job: Job) -> tuple[AnyCampaign, tuple[Any, ...], int]:
+def _campaign_of(job: Job) -> tuple[AnyCampaign, tuple[Any, ...], int]:
     """Return campaign, cells and seed of a job."""
     campaign = find(job.campaign)
     options = campaign.options.model_validate_json(job.options)
@@ -148,7 +148,8 @@ def _made(job: Job) -> tuple[AnyCampaign, tuple[Any, ...], int]:
 
 
 def _cells_differ(job: Job) -> str:
-    return "" if cells_digest(_made(job)[1]) == job.cells else "the same options make other cells there"
+    _, cells, _ = _campaign_of(job)
+    return "" if cells_digest(cells) == job.cells else "the same options make other cells there"
 
 
 def _kept(

@@ -23,7 +23,9 @@ class Table:
         shared = [k for k in range(names) if self.rows and len({row[k] for row in self.rows}) == 1]
         empty = [k for k in range(names, len(self.columns)) if {row[k] for row in self.rows} <= {"", NONE}]
         kept = [k for k in range(len(self.columns)) if k not in (*shared, *(empty if self.rows else ()))]
-        about = ", ".join(_said(self.columns[k], self.rows[0][k]) for k in shared if self.rows[0][k] != NONE)
+        about = ", ".join(
+            _with_unit(self.columns[k], self.rows[0][k]) for k in shared if self.rows[0][k] != NONE
+        )
         return Table(
             f"{self.title} ({about})" if about else self.title,
             tuple(self.columns[k] for k in kept),
@@ -31,7 +33,7 @@ class Table:
         )
 
 
-def _said(column: str, value: str) -> str:
+def _with_unit(column: str, value: str) -> str:
     """Return a value with its column's name and unit."""
     name, _, unit = column.partition(", ")
     return f"{name} {value} {unit}".rstrip()

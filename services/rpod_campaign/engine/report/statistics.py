@@ -25,7 +25,7 @@ class Rate:
         return self.count / self.of if self.of else float("nan")
 
     @property
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """The share for JSON."""
         interval = {"wilson_low": self.low, "wilson_high": self.high}
         return {"count": self.count, "of": self.of, "rate": self.value, **interval}

@@ -59,7 +59,7 @@ class GyroBias:
         covariance[range(6), range(6)] += step_s * np.repeat([noise_rad2_s, walk_rad2_s3], 3)
         return replace(self, covariance=covariance)
 
-    def told(self, measured: FloatArray, G: FloatArray, variance: float) -> "GyroBias":
+    def corrected(self, measured: FloatArray, G: FloatArray, variance: float) -> "GyroBias":
         """Return the estimate after a measured attitude.
 
         Args:

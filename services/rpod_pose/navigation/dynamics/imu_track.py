@@ -121,17 +121,17 @@ class ImuTrack:
                 found.S - last.S, step_s=step_s, noise_rad2_s=density, walk_rad2_s3=self._walk
             )
             found = replace(found, bias=bias)
-        self._sums.append(self._told(found, reading))
+        self._sums.append(self._with_attitude(found, reading))
         self._prune()
         return True
 
-    def _told(self, found: _Sum, reading: ImuReading) -> _Sum:
+    def _with_attitude(self, found: _Sum, reading: ImuReading) -> _Sum:
         """Return the integrals with what the reading's attitude tells of the bias."""
         if self._orbit_rate_rad_s is None or reading.R_orbit_chaser is None or not reading.attitude_variance:
             return found
         angle_rad = self._orbit_rate_rad_s * (reading.stamp_ns - self._begin_ns) * 1e-9
         measured = exponential(np.array([0.0, 0.0, angle_rad])) @ reading.R_orbit_chaser.as_matrix()
-        return replace(found, bias=found.bias.told(measured, found.G, reading.attitude_variance))
+        return replace(found, bias=found.bias.corrected(measured, found.G, reading.attitude_variance))
 
     def _prune(self) -> None:
         oldest_ns = self._sums[-1].stamp_ns - round(_KEPT_S * 1e9)

@@ -69,7 +69,7 @@ def innovation_of(
     H, P = np.zeros((6, state.size)), state.covariance
     H[:, POSE], cross = np.eye(6), P[POSE]
     moving = [
-        (block, place, told(sensitivities[block.name], R, state.alike))
+        (block, place, observable(sensitivities[block.name], R, state.alike))
         for block, place in placed(state.blocks, MOTION.stop)
         if block.name in sensitivities
     ]
@@ -176,7 +176,7 @@ def measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArra
     return config.correlation_inflation * (covariance + np.diag(floor))
 
 
-def told(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:
+def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:
     """Return the part of a sensitivity, shape (6, size), that turns the target about no free axis.
 
     Args:

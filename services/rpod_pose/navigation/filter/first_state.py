@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
-from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, told
+from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, observable
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
 from rpod_schemas.arrays import FloatArray
@@ -56,8 +56,8 @@ def start(
     )
     R = rotation_matrix(T_chaser_target)
     if blocks:
-        told_apart = {name: told(by, R, alike) for name, by in sensitivities.items()}
-        covariance = _with_blocks(covariance, blocks, told_apart)
+        observable_by = {name: observable(by, R, alike) for name, by in sensitivities.items()}
+        covariance = _with_blocks(covariance, blocks, observable_by)
     from_centre = np.eye(len(covariance))
     from_centre[VELOCITY, RATE] = cross_matrix(R @ centre_m)
     state = FilterState(

@@ -169,7 +169,7 @@ class Monitor:
             test = _separation_test("the estimate and its prediction from before", estimate, past)
             if test.fails(self._config.risk):
                 since_s = (estimate.stamp_ns - anchor.stamp_ns) * 1e-9
-                text = f"{test.told(self._config.risk)}, {since_s:.1f} s before"
+                text = f"{test.describe(self._config.risk)}, {since_s:.1f} s before"
                 return replace(memory, contradicted_ns=estimate.stamp_ns, contradiction=text)
         gap_ns = round(0.5 * self._tuning.window_s * 1e9)
         if not anchors or estimate.stamp_ns - anchors[-1].stamp_ns >= gap_ns:
@@ -198,7 +198,7 @@ class Monitor:
             if len(there) == 2:
                 tests.append(_separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
-            tests.append(Statistic(offset.told(), offset.excess(self._config), 6, NOT_TOLD))
+            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, NOT_TOLD))
             evidence |= offset.evidence
         return tests, evidence
 
@@ -326,7 +326,7 @@ class Monitor:
         """Return why the estimate must not be used; empty if nothing contradicts it."""
         if memory.frozen:
             return f"{', '.join(sorted(memory.frozen))}: frozen, its last frames are identical"
-        failed = [test.told(self._config.risk) for test in tests if test.fails(self._config.risk)]
+        failed = [test.describe(self._config.risk) for test in tests if test.fails(self._config.risk)]
         if failed:
             return failed[0]
         if memory.contradicted_ns is None:
@@ -343,7 +343,7 @@ class Monitor:
         if status.belief is not BeliefLevel.ACCEPTED:
             return "the newest measurement supports the pose weakly"
         risk = self._tuning.caution_risk
-        return next((test.told(risk) for test in tests if test.fails(risk)), "")
+        return next((test.describe(risk) for test in tests if test.fails(risk)), "")
 
     def _integrity(
         self,

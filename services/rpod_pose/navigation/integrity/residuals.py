@@ -50,7 +50,7 @@ class Statistic:
         """Return whether the statistic is above what it exceeds by chance with probability ``risk``."""
         return not self.value <= chi2_limit(risk, self.dof)
 
-    def told(self, risk: float) -> str:
+    def describe(self, risk: float) -> str:
         """Return the test in words, with its figures."""
         limit = chi2_limit(risk, self.dof)
         return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"

@@ -50,7 +50,7 @@ class MountOffset:
         expected = self.covariance + 2.0 * np.diag(declared**2)
         return float(self.error @ np.linalg.solve(expected, self.error))
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """Return the offset in words, with its figures."""
         angle_deg, length_m = np.rad2deg(np.linalg.norm(self.error[3:])), np.linalg.norm(self.error[:3])
         sigma = np.sqrt(np.diag(self.covariance))

@@ -37,7 +37,7 @@ def test_changes_of_state_are_told_with_time_and_reason_and_counted_where_they_a
     assert [(change.before, change.after, change.reason) for change in changes] == [
         (A, T, ""), (T, L, "gate: nis 80.0"), (L, T, ""),
     ]  # fmt: skip
-    assert [change.told for change in changes] == [
+    assert [change.explanation for change in changes] == [
         "a first pose was found and verified", "gate: nis 80.0", "a measurement was accepted",
     ]  # fmt: skip
     assert changes[1].time_s == pytest.approx(0.7 + 2 / 250)
@@ -53,11 +53,11 @@ def test_a_track_that_one_frame_ends_and_begins_again_is_told_with_its_reason(tm
     assert totals.lost_ns == 100_000_000
     lost, again = totals.changes
     assert (lost.before, lost.after) == (T, V)
-    assert lost.told == (
+    assert lost.explanation == (
         "the track was lost: no measurement was accepted for 1.25 s, and the covariance of the prediction "
         "was beyond the alert limit; this frame begins it again"
     )
-    assert again.told == "the next frames agree with the pose"
+    assert again.explanation == "the next frames agree with the pose"
 
 
 def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):

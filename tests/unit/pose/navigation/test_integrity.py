@@ -201,7 +201,7 @@ def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
     (size, mean), evidence = residual_tests("pmd", found, dof=6, correlated_s=1.0)
     assert mean.fails(1e-6)
     assert evidence["pmd_stamps_late_s"] == pytest.approx(0.5, abs=0.05)
-    assert "stamps that are" in mean.told(1e-6)
+    assert "stamps that are" in mean.describe(1e-6)
     assert size.dof == pytest.approx(6 * 40)
 
 

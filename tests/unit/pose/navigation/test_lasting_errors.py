@@ -175,7 +175,7 @@ def test_an_offset_is_too_large_only_where_the_mounts_are_declared_better(
     (offset,) = mount_offsets(tracked[0], ["lidar", "pmd"])
     config = IntegrityConfig(mount_sigma_deg=declared_deg, mount_sigma_m=declared_m)
     assert (offset.excess(config) > 38.3) is fails  # chi squared of 6 degrees of freedom at 1e-6
-    assert offset.told().startswith("the mounts of lidar and pmd disagree by 0.3")
+    assert offset.describe().startswith("the mounts of lidar and pmd disagree by 0.3")
 
 
 def test_one_sensor_tells_no_offset_and_keeps_the_whole_uncertainty_of_its_mount():

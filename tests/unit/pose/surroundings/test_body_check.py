@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.surroundings.bodies import KnownBodies, Surface, placed
-from rpod_pose.surroundings.body_check import FRAMES, BodyBook, BodyState, Sighting, sighting, told
+from rpod_pose.surroundings.body_check import FRAMES, BodyBook, BodyState, Sighting, sighting, warning_of
 from rpod_pose.surroundings.separation import RangeImage
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import make_pose
@@ -63,7 +63,7 @@ def test_a_body_elsewhere_is_told_with_its_offset(around, off, tmp_path):
     found = seen(frame((LIMB, moved(*off)), *around), tmp_path)
     assert found.state is BodyState.ELSEWHERE
     np.testing.assert_allclose(found.offset_m, off, atol=0.09)
-    text = told("pmd", found, np.eye(3))
+    text = warning_of("pmd", found, np.eye(3))
     x, y, z = found.offset_m
     assert f"sees the known body limb {np.linalg.norm(found.offset_m):.2f} m away" in text
     assert f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} m in the chaser's axes" in text
@@ -84,7 +84,7 @@ def test_an_encoder_that_is_off_by_twenty_degrees_is_told_though_no_shift_explai
 def test_a_body_that_is_not_there_is_told_by_the_rays_that_end_beyond_it(tmp_path):
     found = seen(frame(wall(4.0)), tmp_path)
     assert (found.state, found.offset_m, found.in_place) == (BodyState.ELSEWHERE, None, 0)
-    assert f"of {found.rays} rays that should meet it {found.rays} end beyond it" in told(
+    assert f"of {found.rays} rays that should meet it {found.rays} end beyond it" in warning_of(
         "p", found, np.eye(3)
     )
 
@@ -96,7 +96,7 @@ def test_a_wall_close_behind_an_absent_body_is_not_taken_for_it(tmp_path):
 def test_a_dark_body_is_not_seen_and_not_contradicted(tmp_path):
     found = seen(frame(), tmp_path)
     assert (found.state, found.missing) == (BodyState.UNSEEN, found.rays)
-    assert "its pose is not checked" in told("pmd", found, np.eye(3))
+    assert "its pose is not checked" in warning_of("pmd", found, np.eye(3))
 
 
 @pytest.mark.parametrize("distance_m", [1.5, 2.6])
