@@ -5,8 +5,8 @@ processed are decoded.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -57,6 +57,13 @@ class Arrived:
     """What the sensor's last frames show that may be why they are refused; empty if nothing."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """Evidence in the status that a live run gave to this frame, in a replay of that run."""
+
+    @classmethod
+    def unusable(
+        cls, sensor: str, stamp_ns: int, error: MessageRejectedError, arrival_s: float = 0.0
+    ) -> Self:
+        """Return a frame that is refused by an error, for its reason."""
+        return cls(sensor, stamp_ns, arrival_s, None, str(error), error.reason)
 
 
 class FrameReader:
@@ -234,10 +241,12 @@ class FrameReader:
                 getattr(reader, name, "") for name in ("inconsistency", "hint")
             )  # may have none
             defect = "; ".join(filter(None, (_defect(measurement.data), inconsistency)))
-            return Arrived(sensor, frame.stamp_ns, arrival_s, measurement, "", "", repeats, defect, hint)
-        told = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
-        reason = f"{Reason.FROZEN}: {told}"
-        return Arrived(sensor, frame.stamp_ns, arrival_s, None, reason, Reason.FROZEN, repeats)
+            arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=hint)
+        else:
+            text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
+            error = MessageRejectedError(Reason.FROZEN, text)
+            arrived = Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
+        return replace(arrived, repeats=repeats)
 
     def last(self, sensor: str, data: SensorFrame) -> Last:
         """Return the last measurement of a frame, by its points, else by the stated duration."""

@@ -122,7 +122,7 @@ class Frames:
             return self.reader.arrived(sensor, frame, 0.0)
         except PartRejectedError as error:
             self.refused[error.topic] += 1
-            return Arrived(sensor, frame.stamp_ns, 0.0, None, str(error))
+            return Arrived.unusable(sensor, frame.stamp_ns, error)
 
 
 @dataclass

@@ -204,6 +204,6 @@ def _arrived(reader: FrameReader, messages: list[Received]) -> Iterator[Arrived]
                 try:
                     yield reader.arrived(sensor, frame, 0.0)
                 except PartRejectedError as error:
-                    yield Arrived(sensor, frame.stamp_ns, 0.0, None, str(error), error.reason)
+                    yield Arrived.unusable(sensor, frame.stamp_ns, error)
         except MessageRejectedError:
             continue

@@ -221,8 +221,7 @@ class Subscriptions:
         except MessageRejectedError as error:
             if leads:
                 self._note_arrival(sensor, received, stamp_ns)
-                refused = Arrived(sensor, stamp_ns, received.arrival_s, None, str(error), error.reason)
-                self._refused.append(refused)
+                self._refused.append(Arrived.unusable(sensor, stamp_ns, error, received.arrival_s))
                 assembler.refuse(stamp_ns)
                 raise FrameRefusedError(error.reason, error.text) from error
             raise
@@ -339,8 +338,8 @@ class Subscriptions:
                     last = self._reader.last(sensor, arrived.measurement.data)
                     self._clocks[sensor].note_end(last, leading, frame.stamp_ns)
         except SecondPublisherError as error:
-            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
+            return Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
-            return Arrived(sensor, frame.stamp_ns, arrival_s, None, str(error), error.reason)
+            return Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
         return arrived

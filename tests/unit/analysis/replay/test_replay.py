@@ -161,6 +161,20 @@ def test_silence_loses_the_target_as_it_does_live(run, tmp_path):
     assert status.reason.startswith("no measurement was accepted for 2.60 s, sigma of the ")
 
 
+def test_a_track_coasts_over_frames_without_content_as_it_does_live(run, tmp_path):
+    def blind_from_the_seventh_frame_on(T_sensor_target, number):
+        depth_m, amplitude = run.render(T_sensor_target, number)
+        return (depth_m if number < 6 else np.full_like(depth_m, np.nan)), amplitude
+
+    blind = replace(run, render=blind_from_the_seventh_frame_on, duration_s=1.6, with_estimates=False)
+    with open_log(blind.write(tmp_path / "run.mcap")) as log:
+        done = replay(log, CONFIG)
+    with open_log(done.out) as new:
+        modes = [status.mode for status in new.statuses(NEW_STATUS)]
+    assert set(modes[:6]) == {Mode.TRACKING}
+    assert Mode.COASTING in modes[6:]
+
+
 def with_configuration(source, out, **services):
     """Copy a log with other configurations in it."""
     with source.open("rb") as stream, out.open("wb") as target:
