@@ -217,19 +217,19 @@ class Estimator:
         return output
 
     def _with_hint(self, output: Output, measurement: Measurement) -> Output:
-        """Return the result of a frame in which no pose was found, with what the frame measures."""
-        if not output.why:
-            return self._while_searching(output, measurement)
-        hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
-        return output.explained(f"{output.why} ({hint})") if hint else output
-
-    def _while_searching(self, output: Output, measurement: Measurement) -> Output:
-        """Return the result of a frame that waits for a search, which tells why if the search takes long."""
-        search = self._state.searches.get(measurement.sensor)
-        if search is None or measurement.stamp_ns - search.event.stamp_ns < SLOW_SEARCH_S * NANOSECONDS:
+        """Return the result of a frame without a pose, with the reason and what the frame measures."""
+        why = output.why or (SLOW_SEARCH if self._searches_long(measurement) else "")
+        if not why:
             return output
         hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
-        return output.explained(f"{SLOW_SEARCH} ({hint})" if hint else SLOW_SEARCH)
+        return output.explained(f"{why} ({hint})" if hint else why)
+
+    def _searches_long(self, measurement: Measurement) -> bool:
+        """Return whether a search that the frame waits for takes long."""
+        search = self._state.searches.get(measurement.sensor)
+        if search is None:
+            return False
+        return measurement.stamp_ns - search.event.stamp_ns >= SLOW_SEARCH_S * NANOSECONDS
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
         """Return the integrity of the newest result. Call this once for each result.

@@ -26,7 +26,7 @@ from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError, MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
 from rpod_schemas.rmw.cdr import peek_stamp
-from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.sensors import SensorKind, sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, SensorFrame, SensorInfo
 
@@ -66,6 +66,25 @@ class Arrived:
         return cls(sensor, stamp_ns, arrival_s, None, str(error), error.reason)
 
 
+@dataclass
+class _Sensor:
+    """One sensor: how its frames are read, and what the last one was."""
+
+    source: SourceConfig
+    kind: SensorKind
+    reader: SensorReader
+    info: Received | None = None
+    """Message of the info by which frames are read."""
+    leader: Peer | None = None
+    """Publisher of the last frame."""
+    frame_id: str | None = None
+    """Frame of reference of the last frame."""
+    content: memoryview = field(default_factory=lambda: memoryview(b""))
+    """Leading part of the last frame, behind its stamp."""
+    repeats: int = 0
+    """Number of frames in a row with this content, after the first one."""
+
+
 class FrameReader:
     """Assembles frames of the configured sensors, and reads measurements from them."""
 
@@ -81,19 +100,13 @@ class FrameReader:
         self.leading: dict[str, str] = {}
         """Leading part of the frames, by sensor name; a frame is reported as refused when this part is
         refused."""
-        self._readers: dict[str, SensorReader] = {}
-        self._sources: dict[str, SourceConfig] = {}
+        self._sensors: dict[str, _Sensor] = {}
         self.pinned = False
         """Whether sensors must stay set up as they are, because a track uses them."""
-        self._kinds = {sensor.name: sensor_kind(sensor.kind) for sensor in sensors}
         self._infos: Announcements[Received] = Announcements()
-        self._read_infos: dict[str, Received] = {}
         self._setups = SetupCheck()
-        self._frame_ids: dict[str, str] = {}
-        self._leaders: dict[str, Peer] = {}
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
         self._cameras = CameraCheck()
-        self._contents: dict[str, tuple[memoryview, int]] = {}
         for sensor in sensors:
             self._expect(sensor)
 
@@ -101,8 +114,7 @@ class FrameReader:
         kind = sensor_kind(sensor.kind)
         if kind.info is not None:
             self.latched += (kind.info.of(sensor.name),)
-        self._sources[sensor.name] = sensor.source
-        self._readers[sensor.name] = open_reader(kind, sensor.source)
+        self._sensors[sensor.name] = _Sensor(sensor.source, kind, open_reader(kind, sensor.source))
         self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
         self.leading[sensor.name] = next(iter(kind.parts))
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
@@ -119,7 +131,7 @@ class FrameReader:
 
         For a sensor whose info has changed while it is pinned, this is the one before.
         """
-        said = {sensor: reader.said for sensor, reader in self._readers.items()}
+        said = {name: sensor.reader.said for name, sensor in self._sensors.items()}
         return {name: self._setups.info(name, info) if self.pinned else info for name, info in said.items()}
 
     def learn(self, received: Received) -> None:
@@ -130,17 +142,18 @@ class FrameReader:
                 self._extrinsics.set(parent, child, pose, received.peer)
             return
         sensor = topic.name.split("/", 1)[0]
-        open_reader(self._kinds[sensor]).learn(received.decode())  # refuses what cannot be used
+        open_reader(self._sensors[sensor].kind).learn(received.decode())  # refuses what cannot be used
         self._infos.put(topic.name, received.peer, received)
         self._inform(sensor, received.session)
 
     def _inform(self, sensor: str, session: str) -> None:
         """Let a sensor's reader know the info that counts for the frames of a session."""
-        info = self._kinds[sensor].info
+        known = self._sensors[sensor]
+        info = known.kind.info
         found = self._infos.of(info.of(sensor).name, session) if info is not None else None
-        if found is not None and found[1] is not self._read_infos.get(sensor):
-            self._read_infos[sensor] = found[1]
-            self._readers[sensor].learn(found[1].decode())
+        if found is not None and found[1] is not known.info:
+            known.info = found[1]
+            known.reader.learn(found[1].decode())
 
     def leave(self, session: str, topic: Topic) -> None:
         """Note that the publisher of a session on a latched topic is gone."""
@@ -159,8 +172,8 @@ class FrameReader:
     @property
     def rivals(self) -> Iterator[tuple[str, Peer, Peer]]:
         """Publishers that differ about a mount or an info: what, the one that is used, another one."""
-        for frame_id in self._frame_ids.values():
-            if found := self._extrinsics.rivals(frame_id):
+        for frame_id in (sensor.frame_id for sensor in self._sensors.values()):
+            if frame_id is not None and (found := self._extrinsics.rivals(frame_id)):
                 yield f"{TF_STATIC.name} of {frame_id}", *found
         for name in self._infos.names:
             given = self._infos.rivals(name)
@@ -188,28 +201,28 @@ class FrameReader:
 
     def stamp_ns(self, sensor: str, received: Received) -> int:
         """Return the middle of exposure or scan of a part, ns of UTC. Raises ``MessageRejectedError``."""
-        return peek_stamp(received.payload) + self._sources[sensor].correction_ns
+        return peek_stamp(received.payload) + self._sensors[sensor].source.correction_ns
 
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
         """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
-        leading = frame.parts[self.leading[sensor]]
+        leading, known = frame.parts[self.leading[sensor]], self._sensors[sensor]
         self._succeed(sensor, leading.peer)
         self._inform(sensor, leading.session)
-        data = self._readers[sensor].read(frame)
+        data = known.reader.read(frame)
         if data.lens is not None:
             self._check_camera(sensor, data.lens, frame.parts.get("camera_info", leading))
-        self._frame_ids[sensor] = data.frame_id
+        known.frame_id = data.frame_id
         try:
             mount = self._extrinsics.mount(sensor, data.frame_id, leading.session)
         except ExtrinsicsError as error:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
         try:
-            setup = Setup(mount, self._readers[sensor].said)
+            setup = Setup(mount, known.reader.said)
             self._setups.check(sensor, setup, source=leading.peer, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(leading, rejection) from rejection
-        return Measurement(sensor, data, self._sources[sensor].boresight_mount(mount))
+        return Measurement(sensor, data, known.source.boresight_mount(mount))
 
     def _succeed(self, sensor: str, leader: Peer) -> None:
         """Take note of the publisher of a sensor's frames.
@@ -218,13 +231,13 @@ class FrameReader:
         of the frames. When another publisher takes over, mount and info of the one before may no longer
         apply: the newest ones count. While a target is tracked, they are compared with those before.
         """
-        before = self._leaders.get(sensor, leader)
-        self._leaders[sensor] = leader
+        known = self._sensors[sensor]
+        before, known.leader = known.leader or leader, leader
         if before == leader or before.session:
             return
-        if sensor in self._frame_ids:
-            self._extrinsics.leave_unknown(self._frame_ids[sensor])
-        if (info := self._kinds[sensor].info) is not None:
+        if known.frame_id is not None:
+            self._extrinsics.leave_unknown(known.frame_id)
+        if (info := known.kind.info) is not None:
             self._infos.leave(lambda name: name == info.of(sensor).name, "")
 
     def arrived(self, sensor: str, frame: Assembled[Received], arrival_s: float) -> Arrived:
@@ -236,10 +249,8 @@ class FrameReader:
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
-            reader = self._readers[sensor]
-            inconsistency, hint = (
-                getattr(reader, name, "") for name in ("inconsistency", "hint")
-            )  # may have none
+            reader = self._sensors[sensor].reader
+            inconsistency, hint = getattr(reader, "inconsistency", ""), getattr(reader, "hint", "")
             defect = "; ".join(filter(None, (_defect(measurement.data), inconsistency)))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=hint)
         else:
@@ -250,17 +261,18 @@ class FrameReader:
 
     def last(self, sensor: str, data: SensorFrame) -> Last:
         """Return the last measurement of a frame, by its points, else by the stated duration."""
-        said = self._readers[sensor].said
+        known = self._sensors[sensor]
+        said = known.reader.said
         stated_s = said.duration_s if isinstance(said, SensorInfo) else 0.0
-        return last_of(data, stated_s or self._sources[sensor].duration_s)
+        return last_of(data, stated_s or known.source.duration_s)
 
     def repeats(self, sensor: str, frame: Assembled[Received]) -> int:
         """Return how many frames in a row have had the same content: noise never repeats to the bit."""
         content = frame.parts[self.leading[sensor]].payload[STAMP_END:]
-        before, repeats = self._contents.get(sensor, (memoryview(b""), 0))
-        repeats = repeats + 1 if np.array_equal(np.asarray(content), np.asarray(before)) else 0
-        self._contents[sensor] = content, repeats
-        return repeats
+        known = self._sensors[sensor]
+        same = np.array_equal(np.asarray(content), np.asarray(known.content))
+        known.content, known.repeats = content, known.repeats + 1 if same else 0
+        return known.repeats
 
     def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:
         try:
