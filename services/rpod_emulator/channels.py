@@ -30,9 +30,12 @@ class Channel(Protocol):
     def emulate(
         self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray, frame: DueFrame
     ) -> Callable[[], None]:
-        """Compute a frame from T_sensor_target at the sensor's pose times; the sun is in chaser axes.
+        """Compute a frame; return a function that publishes it.
 
-        Returns a function that publishes the frame.
+        Args:
+            poses: T_sensor_target at the sensor's pose times.
+            sun_W_m2: unit vector to the sun times its irradiance, chaser axes, shape (3,).
+            frame: number and stamp of the frame.
         """
         ...
 

@@ -171,7 +171,10 @@ def _seen_from(
 
 
 def rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
-    """Return Rodrigues' rotation matrix; scipy's Rotation takes ten times as long at this size."""
+    """Return Rodrigues' rotation matrix, shape (3, 3), about a unit vector, shape (3,), by an angle, rad.
+
+    Scipy's Rotation takes ten times as long at this size.
+    """
     x, y, z = axis
     c, s = cos(angle_rad), sin(angle_rad)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -129,7 +129,7 @@ def undetermined(covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: f
 
 
 def worst_sigma(covariance: FloatArray) -> float:
-    """Return the standard deviation in the worst direction; NaN where the covariance is unknown."""
+    """Return the standard deviation in the worst direction of a covariance, (3, 3); NaN if it is unknown."""
     if not np.isfinite(covariance).all():
         return float("nan")
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

@@ -24,12 +24,12 @@ from rpod_schemas.types import Odometry
 
 
 def write_vector(value: NDArray[np.float64]) -> Any:
-    """Return a geometry_msgs/Vector3."""
+    """Return a geometry_msgs/Vector3 of a vector, shape (3,)."""
     return message_class("geometry_msgs/msg/Vector3")(x=float(value[0]), y=float(value[1]), z=float(value[2]))
 
 
 def read_vector(value: Any, names: str = "xyz") -> NDArray[np.float64]:
-    """Return the numbers of a vector or a quaternion, unchecked."""
+    """Return the numbers of a vector or a quaternion, unchecked, shape (3,) or (4,)."""
     return np.array([getattr(value, name) for name in names])
 
 
@@ -91,7 +91,7 @@ def read_vector_stamped(message: Any) -> tuple[int, NDArray[np.float64]]:
 
 
 def write_vector_stamped(stamp_ns: int, frame_id: str, vector: NDArray[np.float64]) -> Any:
-    """Return a geometry_msgs/Vector3Stamped."""
+    """Return a geometry_msgs/Vector3Stamped of a vector, shape (3,), in the axes of ``frame_id``."""
     return message_class("geometry_msgs/msg/Vector3Stamped")(
         header=write_header(stamp_ns, frame_id), vector=write_vector(vector)
     )

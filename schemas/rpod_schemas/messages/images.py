@@ -73,11 +73,17 @@ _LARGEST = 65535
 
 
 def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]:
-    """Return depth, m, float32, of a ``32FC1`` image in metres, or of ``16UC1`` or ``mono16`` in millimetres.
+    """Return the depth, m, shape (height, width), of an image.
 
-    If a driver uses another unit, ``unit_m`` is its length. Pixels without depth become NaN: those of 0, and
-    those of 65535, by which drivers mark a missing return, or one that is too far for the image. An image
-    without any finite pixel is rejected.
+    Pixels without depth become NaN: those of 0, and those of 65535, by which drivers mark a missing return,
+    or one that is too far for the image.
+
+    Args:
+        message: a sensor_msgs/Image, ``32FC1`` in metres, or ``16UC1`` or ``mono16`` in millimetres.
+        unit_m: length of the driver's unit, if it is another one.
+
+    Raises:
+        MessageRejectedError: the image has another encoding, or no finite pixel, or a pixel is too far.
     """
     image = read_image(message)
     if message.encoding in ("16UC1", "mono16"):
@@ -106,7 +112,10 @@ def read_amplitude(message: Any) -> NDArray[Any]:
 
 
 def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str) -> Any:
-    """Return a sensor_msgs/Image of an array, without a copy if it is C-contiguous."""
+    """Return a sensor_msgs/Image of pixels, (height, width) or (height, width, channels).
+
+    They are not copied if they are C-contiguous.
+    """
     return message_class("sensor_msgs/msg/Image")(
         header=write_header(stamp_ns, frame_id),
         height=image.shape[0],
@@ -119,7 +128,7 @@ def write_image(stamp_ns: int, frame_id: str, image: NDArray[Any], encoding: str
 
 
 def write_compressed(stamp_ns: int, frame_id: str, form: str, data: NDArray[np.uint8]) -> Any:
-    """Return a sensor_msgs/CompressedImage of a codec's bytes."""
+    """Return a sensor_msgs/CompressedImage of a codec's bytes, shape (N,)."""
     return message_class("sensor_msgs/msg/CompressedImage")(
         header=write_header(stamp_ns, frame_id), format=form, data=data
     )

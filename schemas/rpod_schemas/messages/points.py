@@ -65,7 +65,11 @@ def time_field(message: Any) -> Any | None:
 
 
 def within_scan(time_s: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the times of points, s from the stamp, or reject the message if they are not of one scan."""
+    """Return the times of N points, s from the stamp, shape (N,).
+
+    Raises:
+        MessageRejectedError: they are not of one scan.
+    """
     within(RETURN_TIME_S, "t", time_s[~np.isnan(time_s)])
     return time_s
 

@@ -58,12 +58,12 @@ class LidarScan(SensorFrame):
 
     @property
     def grid_m(self) -> Float32Array | None:
-        """Points by row and column, NaN for rays without a return; None if the scan is not organised."""
+        """Points, m, shape (rows, columns, 3), NaN without a return; None if the scan is not organised."""
         return self.points_m if self.organised else None
 
     @property
     def range_image_m(self) -> Float32Array | None:
-        """Range of each ray, 0 without a return; None if the scan is not organised."""
+        """Range of each ray, m, shape (rows, columns), 0 without a return; None if not organised."""
         if not self.organised:
             return None
         range_m = np.linalg.norm(self.points_m, axis=-1)

@@ -95,7 +95,7 @@ class PmdFrame(SensorFrame):
 
     @property
     def range_image_m(self) -> Float32Array:
-        """Z-depth of each pixel; 0 for pixels without depth."""
+        """Z-depth of each pixel, m, shape (height, width), 0 without depth."""
         return np.where(self.depth_m > 0.0, self.depth_m, np.float32(0.0))
 
     @model_validator(mode="after")

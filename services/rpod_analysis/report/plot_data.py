@@ -57,7 +57,7 @@ class PlotData:
         return plot_data
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
-        """Return stamps as seconds from the start of the run."""
+        """Return stamps, ns of UTC, as seconds from the start of the run, in the same shape."""
         return (stamp_ns - self.start_ns) * np.float64(1e-9)
 
     def take(self, run: Run) -> None:

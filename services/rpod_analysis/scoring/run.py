@@ -96,7 +96,7 @@ class Run:
         return (self.end_ns - self.start_ns) * 1e-9
 
     def seconds(self, stamp_ns: IntArray) -> FloatArray:
-        """Return stamps as seconds from the start of the run."""
+        """Return stamps, ns of UTC, as seconds from the start of the run, in the same shape."""
         return (stamp_ns - self.start_ns) * np.float64(1e-9)
 
 

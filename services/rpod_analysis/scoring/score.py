@@ -65,12 +65,12 @@ class Errors:
 
     @property
     def angle_rad(self) -> FloatArray:
-        """Shape (N,)."""
+        """Angle of the attitude error, shape (N,)."""
         return _lengths(self.attitude_rad)
 
     @property
     def distance_m(self) -> FloatArray:
-        """Shape (N,)."""
+        """Length of the position error, shape (N,)."""
         return _lengths(self.position_m)
 
     @property
@@ -79,7 +79,7 @@ class Errors:
         return (self.angle_rad > OFF_TARGET_RAD) | (self.distance_m > OFF_TARGET_M)
 
     def at(self, where: BoolArray) -> "Errors":
-        """Return the errors of some of the estimates."""
+        """Return the errors of the estimates for which a mask, shape (N,), is true."""
         known = None if self.truth_covariance is None else self.truth_covariance[where]
         return Errors(
             self.attitude_rad[where], self.position_m[where], self.nees[where], known, self.nees_dof
@@ -87,7 +87,7 @@ class Errors:
 
 
 def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
-    """Return the truth at stamps, and at which of them it is known; the other poses are not valid.
+    """Return the truth at N stamps, and at which of them it is known, shape (N,); other poses are not valid.
 
     Between neighbours, rotations are interpolated by Slerp and translations linearly. The truth is known at
     its own stamps and between neighbours at most 8 ms apart, but not beyond its ends.

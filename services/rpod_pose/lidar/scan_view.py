@@ -237,7 +237,7 @@ def spread(rays: NDArray[np.int64], rows: int, columns: int) -> NDArray[np.int64
 
 
 def spacing_rad(angles_rad: FloatArray) -> float:
-    """Return the median step between a pattern's columns or rows, rad; 1 degree for a single one."""
+    """Return the median step, rad, between the angles of columns or rows, (N,); 1 degree for a single one."""
     return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
 
 

@@ -43,7 +43,7 @@ def as_measured(registration: Registration, event: Measurement) -> PoseMeasureme
 def in_chaser(
     registration: Registration, T_chaser_sensor: RigidTransform
 ) -> tuple[RigidTransform, FloatArray]:
-    """Return pose and covariance of a registration in the chaser's axes (ICD section 1)."""
+    """Return T_chaser_target of a registration, and its covariance in chaser axes, (6, 6) (ICD section 1)."""
     assert registration.T_sensor_target is not None  # noqa: S101 - guaranteed by the caller
     R = rotation_matrix(T_chaser_sensor)
     turn = np.zeros((6, 6))

@@ -23,7 +23,13 @@ from rpod_schemas.config.lidar import (
 def detection_probability(
     snr: FloatArray, false_alarm: float, threshold: Literal["usual", "printed"] = "usual"
 ) -> FloatArray:
-    """Return P_D (Eq. 4) of a signal-to-noise ratio, with the paper's threshold or the usual one."""
+    """Return P_D (Eq. 4) of signal-to-noise ratios, in their shape.
+
+    Args:
+        snr: signal over the noise's standard deviation, any shape.
+        false_alarm: probability of a false alarm.
+        threshold: the usual one, or that which the paper prints.
+    """
     logarithm = log(1.0 / false_alarm)
     level = 0.5 * logarithm if threshold == "printed" else sqrt(logarithm)
     return 0.5 * (1.0 + erf(np.sqrt(0.5 + snr) - level))
@@ -98,7 +104,15 @@ def signal_to_noise(
 def echo(
     config: LidarConfig, *, reflectivity: FloatArray, cos_incidence: FloatArray, range_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D; NaN for others."""
+    """Return the mean signal electrons N_Sig of rays that meet a surface, and their P_D; NaN for others.
+
+    Args:
+        config: the LIDAR.
+        reflectivity: of the surface that each ray meets, any shape, which is that of the other arguments
+            and of both results.
+        cos_incidence: cosine of the angle between ray and normal.
+        range_m: range, NaN for a ray that meets nothing.
+    """
     laser, receiver, detection = config.transmitter, config.receiver, config.detection
     power_W = echo_power_W(reflectivity, cos_incidence, range_m, laser, receiver)
     signal_e = electrons(power_W, laser, receiver)

@@ -46,13 +46,13 @@ def mixed(
 
 
 def bounced(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
-    """Return ranges, some of which are too long by a second reflection."""
+    """Return ranges, m, in their shape, some of which are too long by a second reflection."""
     late = generator.random(range_m.shape) < world.bounced_share
     return range_m + np.where(late, generator.exponential(world.detour_m, range_m.shape), 0.0)
 
 
 def false_m(range_m: FloatArray, world: LidarWorld, generator: Generator) -> FloatArray:
-    """Return ranges of stray light for some rays without a surface, NaN for all others."""
+    """Return ranges of stray light, m, for some rays without a range, NaN for all others, in their shape."""
     shape = range_m.shape
     strays = (generator.random(shape) < world.false_share) & np.isnan(range_m)
     middle_m = float(np.nanmedian(range_m)) if np.isfinite(range_m).any() else np.nan

@@ -28,7 +28,10 @@ def areas_m2(triangles_m: FloatArray) -> FloatArray:
 
 
 def volume_m3(triangles_m: FloatArray) -> float:
-    """Return the volume inside closed triangles (divergence theorem), m3; negative if they face inwards."""
+    """Return the volume, m3, inside closed triangles, (N, 3, 3), m; negative if they face inwards.
+
+    By the divergence theorem.
+    """
     a, b, c = np.moveaxis(triangles_m - triangles_m.mean(axis=(0, 1)), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
@@ -59,7 +62,7 @@ def _once_each(corners: FloatArray) -> tuple[FloatArray, Indices]:
 
 
 def open_edges(triangles_m: FloatArray) -> int:
-    """Return the number of directed edges without an opposite one; 0 if the surface is closed."""
+    """Return the number of directed edges of triangles, (N, 3, 3), without an opposite one; 0 if closed."""
     edges = directed_edges(welded(triangles_m))
     edges = edges[edges[:, 0] != edges[:, 1]]  # leaves out edges of slivers whose corners coincide
     low_first = edges[:, 0] < edges[:, 1]
@@ -69,7 +72,7 @@ def open_edges(triangles_m: FloatArray) -> int:
 
 
 def separate_surfaces(triangles_m: FloatArray) -> list[FloatArray]:
-    """Return the triangles split into surfaces that share no corner."""
+    """Return triangles, (N, 3, 3), split into surfaces that share no corner."""
     index = welded(triangles_m)
     edges = directed_edges(index)
     surface = components(edges, size=int(index.max()) + 1)[index[:, 0]]

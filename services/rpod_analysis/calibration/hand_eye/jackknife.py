@@ -15,7 +15,13 @@ correlated."""
 
 
 def independent_covariance(information: FloatArray, prior: FloatArray, scale: float) -> FloatArray:
-    """Return the covariance of independent errors of the residuals' own size."""
+    """Return the covariance of n parameters for independent errors of the residuals' own size, shape (n, n).
+
+    Args:
+        information: information of each of N pairs of poses about the parameters, shape (N, n, n).
+        prior: information without them, shape (n, n).
+        scale: standard deviation of the residuals over the stated one.
+    """
     seen = information.sum(axis=0)
     inverse = np.linalg.inv(seen + prior)
     covariance: FloatArray = inverse @ (scale**2 * seen + prior) @ inverse
@@ -29,6 +35,12 @@ def lasting_covariance(
 
     It is at least that of independent errors, since few blocks say little about the directions in which the
     parameters are known worst.
+
+    Args:
+        information: information of each of N pairs of poses about the n parameters, shape (N, n, n).
+        scores: their derivatives of the log likelihood by the parameters, shape (N, n).
+        prior: information without them, shape (n, n).
+        independent: covariance for independent errors, shape (n, n).
     """
     whole = information.sum(axis=0) + prior
     blocks = np.array_split(np.arange(len(scores)), _BLOCKS)
@@ -47,7 +59,10 @@ def lasting_covariance(
 
 
 def block_correlation(white: FloatArray) -> float:
-    """Return the correlation of the mean residuals of successive blocks; 0 if blocks are independent."""
+    """Return the correlation of the mean residuals of successive blocks; 0 if blocks are independent.
+
+    The residuals, shape (N, 6), are in the order of time, each over its standard deviation.
+    """
     means = np.stack([block.mean(axis=0) for block in np.array_split(white, _BLOCKS)])
     means -= means.mean(axis=0)
     return float((means[1:] * means[:-1]).sum() / max((means**2).sum(), 1e-30))

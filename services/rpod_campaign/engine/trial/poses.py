@@ -36,7 +36,7 @@ def errors(
 def nees_of(
     truth: RigidTransform, found: RigidTransform | None, covariance: FloatArray, target: Target
 ) -> float:
-    """Return the normalised squared error of (dp, dtheta) in the sensor's axes (ICD section 1).
+    """Return the normalised squared error of (dp, dtheta), by its covariance, (6, 6), both in sensor axes.
 
     NaN without a pose, or where the covariance is not positive definite. For a target with an exact symmetry,
     the error is that against the nearest equivalent pose. The angle about a free axis does not count.

@@ -47,7 +47,7 @@ def middle_m(target: Target) -> FloatArray:
 
 
 def with_middle_at(R_sensor_target: Rotation, place_m: FloatArray, target: Target) -> RigidTransform:
-    """Return T_sensor_target with the middle of the target's bounding box at a place, sensor axes."""
+    """Return T_sensor_target with the middle of the target's bounding box at a place, shape (3,), m."""
     return make_pose(
         rotation=R_sensor_target, translation_m=place_m - R_sensor_target.apply(middle_m(target))
     )

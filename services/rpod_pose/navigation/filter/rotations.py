@@ -23,7 +23,7 @@ def exponential(phi: FloatArray) -> FloatArray:
 
 
 def orthonormal(R: FloatArray) -> FloatArray:
-    """Return a rotation matrix without the rounding errors of many products, by one Newton step."""
+    """Return a rotation matrix, (3, 3), without the rounding errors of many products, by one Newton step."""
     return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
 
 
