@@ -32,15 +32,14 @@ from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
 from rpod_schemas.errors import Reason
 from rpod_schemas.topics import (
-    ESTIMATE,
-    ESTIMATE_FRAME,
-    ESTIMATE_JOINTS,
-    ESTIMATE_POSE,
-    INTEGRITY,
+    CONTRADICTION,
+    ESTIMATES,
     STATUS,
     TF_STATIC,
     TRUTH,
     TRUTH_JOINTS,
+    VALIDITY,
+    Topic,
 )
 from rpod_schemas.types import Integrity
 from rpod_target import load_target
@@ -126,7 +125,7 @@ def replay(
     estimator = Estimator(config, target, recorded.of if recorded else None)
     reader = FrameReader(config.sensors)
     old = estimate_prefix(log)
-    status_topic = STATUS.under(old).name
+    copied, status_topic = _copied(log, old), STATUS.under(old).name
     stamps, holders = StampCheck(log), LoggedHolders(log, reader.parts)
     frames = (
         FramesAsLive(reader, stamps, holders, status_topic=status_topic)
@@ -139,8 +138,8 @@ def replay(
     feed = _Feed(estimator, frames, inputs, recorded, resets=told.since(span_ns[0]))
     try:
         with EstimateLog(new, log, config, target) as written:
-            for logged in _relevant(log, reader, old, span_ns):
-                if logged.topic in _copied(log, old):
+            for logged in _relevant(log, reader, copied, span_ns):
+                if logged.topic in copied:
                     written.copy(logged)
                 written.add(feed.checked(frames.take(logged)), arrival_ns=logged.log_ns)
             written.add(feed.checked(frames.rest()), arrival_ns=written.last_ns)
@@ -181,17 +180,11 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
 
 
 def _copied(log: Log, prefix: str) -> set[str]:
-    """Return the names of the topics that are copied from the old log to the new one."""
-    topics = (ESTIMATE, ESTIMATE_POSE, ESTIMATE_JOINTS, INTEGRITY, STATUS)
-    estimates = (topic.under(prefix).name for topic in topics)
-    frames = ESTIMATE_FRAME.under(prefix).at("").name
-    return {
-        TRUTH.name,
-        TRUTH_JOINTS.name,
-        TF_STATIC.name,
-        *estimates,
-        *(name for name in log.topics if name.startswith(frames)),
-    }
+    """Return the names of the topics that are copied: truth, mounts, and estimates that are made anew."""
+    anew = (topic for topic in ESTIMATES if topic not in (CONTRADICTION, VALIDITY))
+    patterns = TRUTH, TRUTH_JOINTS, TF_STATIC, *(topic.under(prefix).at("*") for topic in anew)
+    topics = (Topic(name, info.type) for name, info in log.topics.items())
+    return {topic.name for topic in topics if any(pattern.covers(topic) for pattern in patterns)}
 
 
 def _span_ns(log: Log, *, start_s: float, end_s: float | None) -> tuple[int | None, int | None]:
@@ -202,13 +195,13 @@ def _span_ns(log: Log, *, start_s: float, end_s: float | None) -> tuple[int | No
 
 
 def _relevant(
-    log: Log, reader: FrameReader, prefix: str, span_ns: tuple[int | None, int | None]
+    log: Log, reader: FrameReader, copied: set[str], span_ns: tuple[int | None, int | None]
 ) -> Iterator[Logged]:
     start_ns, end_ns = span_ns
     latched = [topic.name for topic in reader.latched]
     streams = [topic.name for topic in reader.streams]
     before = log.messages(*latched, end_ns=start_ns) if start_ns is not None else ()
-    wanted = {*latched, *streams, *_copied(log, prefix)}
+    wanted = {*latched, *streams, *copied}
     return chain(before, log.messages(*wanted, start_ns=start_ns, end_ns=end_ns))
 
 
