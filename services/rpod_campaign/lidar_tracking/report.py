@@ -9,7 +9,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent, word
+from rpod_campaign.engine.report.numbers import in_world, millimetres, milliseconds, number, percent, word
 from rpod_campaign.engine.report.statistics import consistency, quantile, rate
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.returns import ELLIPSE_RETURNS
@@ -102,8 +102,8 @@ def _single_table(results: Results) -> Table:
                 str(rate(int(result.rows["success"].sum()), result.rows.height)),
                 number(s["median_deg"], ".3f"),
                 number(s["p95_deg"], ".3f"),
-                number(_millimetres(s["median_m"]), ".1f"),
-                number(_millimetres(s["p95_m"]), ".1f"),
+                millimetres(s["median_m"]),
+                millimetres(s["p95_m"]),
                 milliseconds(s["median_s"]),
                 milliseconds(s["p95_s"]),
                 number(s["nees_mean"], ".2f"),
@@ -148,7 +148,3 @@ def _figures(results: Results) -> tuple[Any, ...]:
             shares,
         )
     return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)
-
-
-def _millimetres(value_m: float | None) -> float | None:
-    return None if value_m is None else 1e3 * value_m

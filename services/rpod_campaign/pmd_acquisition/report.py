@@ -9,10 +9,9 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, milliseconds, number
+from rpod_campaign.engine.report.numbers import in_world, millimetres, milliseconds, number
 from rpod_campaign.engine.report.statistics import quantile, rate
 from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
-from rpod_campaign.pmd.report.tables import millimetres
 from rpod_campaign.pmd_acquisition.trial import WIDE_DEG, WIDE_M, AcquisitionCell
 
 Results = Sequence[CellResult[AcquisitionCell]]
@@ -64,7 +63,7 @@ def _table(results: Results) -> Table:
             str(result.rows.height),
             str(rate(int(result.rows["success"].sum()), result.rows.height)),
             number(result.summary["median_deg"], ".2f"),
-            number(millimetres(result.summary["median_m"]), ".1f"),
+            millimetres(result.summary["median_m"]),
             milliseconds(result.summary["median_s"]),
             milliseconds(result.summary["p95_s"]),
             *(

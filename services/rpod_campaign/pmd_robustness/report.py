@@ -4,11 +4,11 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import number
+from rpod_campaign.engine.report.numbers import millimetres, number
 from rpod_campaign.engine.report.statistics import quantile
 from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING
 from rpod_campaign.pmd.report.summary import AXES, Results
-from rpod_campaign.pmd.report.tables import LOST, by_range, errors_over_range, first, millimetres, overview
+from rpod_campaign.pmd.report.tables import LOST, by_range, errors_over_range, first, overview
 from rpod_campaign.pmd.sequence import SequenceCell
 from rpod_campaign.pmd_robustness.trial import CASES, END_M, LEAVES_M, START_M
 
@@ -66,8 +66,8 @@ def _close_section(results: Results) -> Section:
                 f"{part['bin'][0] / 10.0:.1f}",
                 *(number(quantile(part["attitude_deg"], share), ".2f") for share in (0.5, 1.0)),
                 number(quantile(part["sigma_deg"], 0.5), ".2f"),
-                *(number(millimetres(quantile(part["position_m"], share)), ".1f") for share in (0.5, 1.0)),
-                number(millimetres(quantile(part["sigma_m"], 0.5)), ".1f"),
+                *(millimetres(quantile(part["position_m"], share)) for share in (0.5, 1.0)),
+                millimetres(quantile(part["sigma_m"], 0.5)),
             )
             for part in parts
         ]

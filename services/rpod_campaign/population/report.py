@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
-from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate
+from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate, root_mean_square
 from rpod_campaign.population.trial import RIGHT, PopulationCell
 
 Results = Sequence[CellResult[PopulationCell]]
@@ -104,8 +103,8 @@ def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
     """Return the errors of the right poses, accepted or not, and their consistency."""
     good = rows.filter("right")
     return {
-        "attitude_deg_rms": _rms(good["attitude_deg"]),
-        "position_m_rms": _rms(good["position_m"]),
+        "attitude_deg_rms": root_mean_square(good["attitude_deg"]),
+        "position_m_rms": root_mean_square(good["position_m"]),
         **consistency(good),
     }
 
@@ -113,10 +112,6 @@ def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
 def _count(rows: pl.DataFrame, condition: pl.Expr) -> Rate:
     """Return the share of the rows that meet a condition."""
     return rate(int(rows.select(condition.fill_null(value=False).sum()).item()), rows.height)
-
-
-def _rms(values: pl.Series) -> float | None:
-    return float(np.sqrt(np.mean(values.to_numpy() ** 2))) if values.len() else None
 
 
 def sections(results: Results) -> list[Section]:

@@ -19,6 +19,11 @@ def milliseconds(value_s: float | None) -> str:
     return number(None if value_s is None else 1e3 * value_s, ".2f")
 
 
+def millimetres(value_m: float | None, form: str = ".1f") -> str:
+    """Return a length in mm."""
+    return number(None if value_m is None else 1e3 * value_m, form)
+
+
 def percent(value: float | None) -> str:
     """Return a share in percent."""
     return number(None if value is None else 100.0 * value, ".1f", unit=" %")

@@ -8,6 +8,7 @@ import polars as pl
 from scipy.stats import binomtest
 
 from rpod_analysis.scoring.score import NEES_95
+from rpod_schemas.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -46,16 +47,24 @@ def rate(count: int, of: int) -> Rate:
 
 def quantile(values: pl.Series, share: float) -> float | None:
     """Return a quantile of the finite values; None if there are none."""
-    finite = values.drop_nulls().to_numpy().astype(np.float64)
-    finite = finite[np.isfinite(finite)]
+    finite = _finite(values)
     return float(np.quantile(finite, share)) if finite.size else None
 
 
 def mean(values: pl.Series) -> float | None:
     """Return the mean of the finite values; None if there are none."""
-    finite = values.drop_nulls().to_numpy().astype(np.float64)
-    finite = finite[np.isfinite(finite)]
+    finite = _finite(values)
     return float(finite.mean()) if finite.size else None
+
+
+def root_mean_square(values: pl.Series) -> float | None:
+    """Return the root of the mean square of all values; None if there are none."""
+    return float(np.sqrt(np.mean(values.to_numpy() ** 2))) if values.len() else None
+
+
+def _finite(values: pl.Series) -> FloatArray:
+    numbers: FloatArray = values.drop_nulls().to_numpy().astype(np.float64)
+    return numbers[np.isfinite(numbers)]
 
 
 def consistency(rows: pl.DataFrame) -> dict[str, Any]:

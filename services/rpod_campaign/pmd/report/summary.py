@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from rpod_campaign.engine.campaign import TRIAL, CellResult
-from rpod_campaign.engine.report.statistics import consistency, mean, quantile
+from rpod_campaign.engine.report.statistics import consistency, mean, quantile, root_mean_square
 from rpod_campaign.pmd.sequence import SequenceCell
 
 Results = Sequence[CellResult[SequenceCell]]
@@ -31,7 +30,10 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
         "radius_px": cell.radius_px,
         "frames": rows.height,
         "rms": rms(rows),
-        "norms": {"attitude_deg": _rms(rows["attitude_deg"]), "position_m": _rms(rows["position_m"])},
+        "norms": {
+            "attitude_deg": root_mean_square(rows["attitude_deg"]),
+            "position_m": root_mean_square(rows["position_m"]),
+        },
         "max": {name: quantile(rows[name], 1.0) for name in ("attitude_deg", "position_m")},
         "median_s": quantile(rows["track_s"], 0.5),
         "p95_s": quantile(rows["track_s"], 0.95),
@@ -53,8 +55,4 @@ def summarise(cell: SequenceCell, rows: pl.DataFrame) -> dict[str, Any]:
 def rms(rows: pl.DataFrame, axes: tuple[str, ...] = AXES) -> dict[str, float | None]:
     """Return the RMS errors along axes; None without rows."""
     names = (name.removeprefix("sensor_").removeprefix("target_") for name in axes)
-    return {name: _rms(rows[axis]) for name, axis in zip(names, axes, strict=True)}
-
-
-def _rms(values: pl.Series) -> float | None:
-    return float(np.sqrt(np.mean(values.to_numpy() ** 2))) if values.len() else None
+    return {name: root_mean_square(rows[axis]) for name, axis in zip(names, axes, strict=True)}

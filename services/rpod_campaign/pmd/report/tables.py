@@ -7,7 +7,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Table
-from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
+from rpod_campaign.engine.report.numbers import millimetres, milliseconds, number, percent, word
 from rpod_campaign.pmd.report.summary import AXES, OTHER_AXES, Results, rms
 from rpod_campaign.pmd.sequence import SequenceCell
 
@@ -54,9 +54,9 @@ def _errors(results: Results) -> Table:
                 str(s["frames"]),
                 *_six(s["rms"]),
                 number(s["norms"]["attitude_deg"], ".2f"),
-                number(millimetres(s["norms"]["position_m"]), ".1f"),
+                millimetres(s["norms"]["position_m"]),
                 number(s["max"]["attitude_deg"], ".2f"),
-                number(millimetres(s["max"]["position_m"]), ".0f"),
+                millimetres(s["max"]["position_m"], ".0f"),
             )
         )
     columns = ("images", *_UNITS, "norm, deg", "norm, mm", "greatest, deg", "greatest, mm")
@@ -129,7 +129,7 @@ def errors_over_range(results: Results) -> tuple[go.Figure, ...]:
 
 def _six(values: dict[str, float | None]) -> tuple[str, ...]:
     angles = (number(values[axis], ".2f") for axis in AXES[:3])
-    return (*angles, *(number(millimetres(values[axis]), ".1f") for axis in AXES[3:]))
+    return (*angles, *(millimetres(values[axis]) for axis in AXES[3:]))
 
 
 def _norms(rows: pl.DataFrame) -> str:
@@ -139,11 +139,6 @@ def _norms(rows: pl.DataFrame) -> str:
         float(np.sqrt((rows[name].to_numpy() ** 2).mean())) for name in ("attitude_deg", "position_m")
     )
     return f"{angle:.2f} / {1e3 * distance:.0f}"
-
-
-def millimetres(value_m: float | None) -> float | None:
-    """Return a length in mm."""
-    return None if value_m is None else 1e3 * value_m
 
 
 def first(results: Results, **wanted: object) -> CellResult[SequenceCell] | None:
