@@ -17,6 +17,7 @@ from rpod.play.draining import await_logged
 from rpod.play.facility import Facility, Speed, configure
 from rpod.play.fault_player import FaultPlayer
 from rpod.play.progress import Progress
+from rpod.play.start_watch import StartWatch
 from rpod.play.supervisor import Supervisor
 from rpod_runtime import Node, NoRouterError, QueryFailedError
 from rpod_runtime.process.awake import AwakeClock
@@ -26,9 +27,11 @@ from rpod_schemas.messages import NANOSECONDS
 
 log = logging.getLogger(__name__)
 
-_READY_TIMEOUT_S = 240.0
-"""Longest time until all services are ready; the first start on a machine compiles kernels and builds the
-target."""
+_IDLE_S = 120.0
+"""Longest time in which a service that starts does not work. A first start compiles kernels and builds the
+target, which takes many minutes on a busy machine."""
+_LONGEST_START_S = 3600.0
+"""Longest time until all services are ready."""
 _LEAD_S = 0.5
 """Time from the start query to the epoch."""
 _ANSWER_S = 60.0
@@ -165,7 +168,7 @@ def _await_ready(
     node: Node, services: Supervisor, facility: Facility, interrupted: Event, progress: Progress
 ) -> None:
     waiting = {*facility.services, *(("proxy",) if facility.proxy else ())}
-    clock = AwakeClock(_TURN_S)
+    clock, watch = AwakeClock(_TURN_S), StartWatch()
     while waiting:
         compiling = f"; {_COMPILING}" if clock.now_s() > _LONG_START_S else ""
         progress.say(f"waiting for {', '.join(sorted(waiting))}{compiling}")
@@ -174,11 +177,13 @@ def _await_ready(
             state = _state(node, verb)
             if state == "ready":
                 waiting.discard(verb)
-            elif state == "failed":
+                continue
+            if state == "failed":
                 _check(services, interrupted)
                 raise FailedServiceError(verb, services.log_of(verb))
-            elif clock.now_s() > _READY_TIMEOUT_S:
-                raise NotReadyError(verb, _READY_TIMEOUT_S, services.log_of(verb))
+            idle_s, now_s = watch.idle_s(services.pid_of(verb), clock.now_s()), clock.now_s()
+            if idle_s > _IDLE_S or now_s > _LONGEST_START_S:
+                raise NotReadyError(verb, now_s, services.log_of(verb))
         time.sleep(_POLL_S)  # a query returns at once while no service answers it
 
 

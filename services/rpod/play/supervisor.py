@@ -60,6 +60,10 @@ class Supervisor:
         """Return the file with a service's log lines."""
         return self._services[verb].files.log
 
+    def pid_of(self, verb: str) -> int:
+        """Return the number of a service's process."""
+        return self._services[verb].process.pid
+
     def check(self) -> None:
         """Check that all services run. An optional one that has ended is reported once.
 
