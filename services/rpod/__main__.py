@@ -23,6 +23,7 @@ from rpod.logs.verbs import log_verbs
 from rpod.pki.verbs import pki_verbs
 from rpod.reloading import run_reloading, with_bus
 from rpod.target.verbs import target_verbs
+from rpod_runtime.process.collector import process_has_started, process_starts
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.base import check, read_document
 from rpod_schemas.errors import ConfigurationError
@@ -65,12 +66,14 @@ def main() -> None:
     """Run the command line; a verb whose extra is not installed names the missing package."""
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a crash of compiled code tells in which call
+    process_starts()
     try:
         app()
     except ModuleNotFoundError as error:
         print(f"rpod: this verb needs {error.name}: pip install 'rpod[all]'", file=sys.stderr)
         sys.exit(EXIT_FAILURE)
     finally:
+        process_has_started()
         gc.freeze()  # else the interpreter examines all objects of all libraries at its end, for up to 0.7 s
 
 

@@ -69,7 +69,6 @@ def test_a_second_interrupt_ends_the_run_at_once_and_the_services_follow(start):
     ("verb", "speed", "reason"),
     [
         ("emulator", "1", "emulator (session "),
-        ("estimator", "max", "estimator (session "),
         ("motion", "max", "motion (session "),
         ("router", "1", "the bus was lost: since "),
     ],

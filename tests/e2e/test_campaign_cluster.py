@@ -83,37 +83,37 @@ def test_another_packages_campaign_is_in_the_catalogue():
     assert find("counting") is CAMPAIGN
 
 
-def test_pool_one_worker_and_eight_give_the_same_rows(tmp_path, dask):
+def test_pool_one_worker_and_four_give_the_same_rows(tmp_path, dask):
     options = {"trials": 300, "ranges": (1.0, 2.0, 3.0)}
     pool = rows_of(run_campaign(counting(tmp_path / "pool", **options), ProcessPool(2)))
     dask.start_worker("first")
     one = counting(tmp_path / "one", **options)
     assert rows_of(run_campaign(one, Cluster(dask.address))).equals(pool)
-    for number in range(7):
+    for number in range(3):
         dask.start_worker(f"worker-{number}")
-    eight = counting(tmp_path / "eight", **options)
-    assert rows_of(run_campaign(eight, Cluster(dask.address))).equals(pool)
+    four = counting(tmp_path / "four", **options)
+    assert rows_of(run_campaign(four, Cluster(dask.address))).equals(pool)
     assert once(one)
-    assert once(eight)
+    assert once(four)
 
 
 def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twice(tmp_path, dask):
-    options = {"trials": 150, "ranges": (1.0, 2.0), "pause": 0.05}
-    expected = rows_of(run_campaign(counting(tmp_path / "pool", trials=150), ProcessPool(1)))
-    for name in ("a", "b", "c"):
+    options = {"trials": 80, "ranges": (1.0, 2.0), "pause": 0.05}
+    expected = rows_of(run_campaign(counting(tmp_path / "pool", trials=80), ProcessPool(1)))
+    for name in ("a", "b"):
         dask.start_worker(name)
     disturbed = counting(tmp_path / "out", **options)
     chance, told, stop = random.Random(5), [], threading.Event()
     done, disturbances = [], []
 
     def disturb() -> None:
-        for turn in range(5):
+        for turn in range(3):
             until = len(done) + chance.randint(20, 30)  # by progress: how fast that is, the machine decides
             while len(done) < until and not stop.wait(0.05):
                 dask.revive_workers()
             if stop.is_set():
                 return
-            if turn == 3:
+            if turn == 1:
                 dask.kill_scheduler()
                 disturbances.append("scheduler")
                 dask.start_scheduler()
@@ -132,10 +132,10 @@ def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twic
     finally:
         stop.set()
         supervisor.join()
-    assert "scheduler" in disturbances
-    assert len(disturbances) >= 4
+    assert disturbances[1] == "scheduler"
+    assert len(disturbances) == 3
     assert any("ended; its trials go to others" in note for note in told), told
-    assert len(done) == 300
+    assert len(done) == 160
     assert rows_of(results).equals(expected)
     assert once(disturbed)
 

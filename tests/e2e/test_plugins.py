@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 from plugins import EXAMPLES, installed, with_packages
 
 METHOD, KIND = "plugin_signed_distance", "plugin_mono_camera"
@@ -33,7 +34,7 @@ def test_a_method_is_three_files_of_at_most_60_lines():
 
 def test_a_copied_method_estimates_bit_for_bit_what_the_original_does(method: Path, tmp_path: Path):
     scenario = EXAMPLES / METHOD / "my-run.yaml"
-    summary = played(method, scenario, tmp_path / "runs", duration_s=2.0)
+    summary = played(method, scenario, tmp_path / "runs", duration_s=1.0)
     assert summary["modes"]["tracking_share"] == 1.0
     log = Path(summary["log"])
     config = json.loads((log.parent / "config" / "estimator.json").read_text())
@@ -42,7 +43,7 @@ def test_a_copied_method_estimates_bit_for_bit_what_the_original_does(method: Pa
     original = tmp_path / "original.json"
     original.write_text(json.dumps(config))
     report = json.loads(with_packages(method, "replay", str(log), "--config", str(original), "--json"))
-    assert report["difference"]["identical"] == report["difference"]["common"] > 80
+    assert report["difference"]["identical"] == report["difference"]["common"] > 40
 
 
 def test_a_campaign_takes_the_method_by_its_name(method: Path, tmp_path: Path):
@@ -59,21 +60,24 @@ def test_the_tests_of_the_third_kind_pass(kind: Path):
 
 
 def test_a_third_kind_is_played_logged_reported_and_replayed(kind: Path, tmp_path: Path):
-    scenario = EXAMPLES / KIND / "mono-tumbling.yaml"
-    summary = played(kind, scenario, tmp_path / "runs", duration_s=6.0)
+    document = yaml.safe_load((EXAMPLES / KIND / "mono-tumbling.yaml").read_text())
+    document["motion"]["trajectory"]["end_m"] = [0, 0, 6.4]  # as fast as in the whole scenario
+    scenario = tmp_path / "mono-tumbling.yaml"
+    scenario.write_text(yaml.safe_dump(document))
+    summary = played(kind, scenario, tmp_path / "runs", duration_s=3.0)
     for topic in ("mono/image_raw", "mono/camera_info"):
-        assert summary["frames"][topic] == {"published": 60, "logged": 60, "missed": 0}
+        assert summary["frames"][topic] == {"published": 30, "logged": 30, "missed": 0}
     assert summary["completeness"]["reasons"] == []
     assert summary["completeness"]["complete"]
-    # the approach is three times as fast as its scenario's: frames may be refused until the twist is known
-    assert summary["estimates"]["accepted"] >= 54
+    # frames may be refused until the twist is known
+    assert summary["estimates"]["accepted"] >= 27
     assert summary["modes"]["tracking_share"] > 0.9
     assert summary["error"]["attitude_deg"]["rms"] < 0.5
     assert summary["error"]["position_m"]["rms"] < 0.05
     log = Path(summary["log"])
     assert "mono" in (log.parent / "report.html").read_text()
     report = json.loads(with_packages(kind, "replay", str(log), "--json"))
-    assert report["difference"]["identical"] == report["difference"]["common"] >= 54
+    assert report["difference"]["identical"] == report["difference"]["common"] >= 27
 
 
 def test_without_the_package_an_error_names_the_kind_and_the_remedy(tmp_path: Path):

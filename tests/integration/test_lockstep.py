@@ -25,7 +25,7 @@ from rpod_schemas.config.emulator import (
 )
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig, ScanPatternConfig
-from rpod_schemas.config.motion import MotionConfig
+from rpod_schemas.config.motion import FACING, MotionConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.control import Accepted, StartRequest, StatusReply
 from rpod_schemas.messages import NANOSECONDS, read_status
@@ -58,6 +58,9 @@ AT_ONCE = PMD.model_copy(update={"name": "a_side"})
 """A second camera, whose every frame is due at the very time of the first one's."""
 UNEVEN = LidarConfig(pattern=SCAN, rate_hz=1.7)
 """No frame at the stamp of another sensor's."""
+GUESS = make_pose(rotation=FACING, translation_m=[0.0, 0.0, 7.0])
+"""Pose of the target at the start. Without it seven rivals of a first pose are tracked in parallel, for
+seconds; that the messages are the same then too is tested with both sensors."""
 
 
 def estimator_input(sensor: SensorConfig) -> PmdInput | LidarInput:
@@ -194,29 +197,28 @@ def payloads(messages: dict[tuple[str, int], list[bytes]], topic: Topic) -> list
     return [payload for (name, _), of in messages.items() if name == topic.name for payload in of]
 
 
-def assert_the_same(bench: Bench, *sensors: SensorConfig, times: int) -> dict[tuple[str, int], list[bytes]]:
-    """Play some times, and compare all that was published; return it."""
-    runs = [bench.play(*sensors, heard=sensors, duration_s=1.0) for _ in range(times)]
+def assert_the_same(bench: Bench, *sensors: SensorConfig, **estimator) -> dict[tuple[str, int], list[bytes]]:
+    """Play twice, and compare all that was published; return it."""
+    runs = [bench.play(*sensors, heard=sensors, duration_s=1.0, **estimator) for _ in range(2)]
     for run in runs:
         assert answered(run) == steps(*sensors, duration_s=1.0)
-    first, *others = [Played.of(run).messages for run in runs]
+    first, other = (Played.of(run).messages for run in runs)
     assert any(status.accepted for status in statuses_of(runs[0]))
-    for other in others:
-        assert {key: len(messages) for key, messages in other.items()} == {
-            key: len(messages) for key, messages in first.items()
-        }
-        assert [key for key in first if first[key] != other[key]] == []
+    assert {key: len(messages) for key, messages in other.items()} == {
+        key: len(messages) for key, messages in first.items()
+    }
+    assert [key for key in first if first[key] != other[key]] == []
     return first
 
 
 @pytest.mark.parametrize("sensor", [PMD, LIDAR], ids=["pmd", "lidar"])
 def test_a_run_with_one_sensor_comes_out_the_same_to_the_last_message(bench, sensor):
-    assert_the_same(bench, sensor, times=2)
+    assert_the_same(bench, sensor, initial_pose=GUESS)
 
 
-def test_a_run_comes_out_the_same_three_times_and_another_seed_gives_other_frames_of_the_same_truth(bench):
+def test_a_run_comes_out_the_same_and_another_seed_gives_other_frames_of_the_same_truth(bench):
     sensors = PMD, LIDAR
-    first = assert_the_same(bench, *sensors, times=3)
+    first = assert_the_same(bench, *sensors)
     other = Played.of(bench.play(*sensors, heard=sensors, duration_s=1.0, seed=6)).messages
     runs = first, other
     for topic in (POINTS.of("lidar"), DEPTH.of("pmd"), ESTIMATE):
@@ -234,7 +236,7 @@ def test_a_run_comes_out_the_same_three_times_and_another_seed_gives_other_frame
     ids=["handed out late", "uneven rates", "three at once"],
 )
 def test_every_frame_of_several_sensors_is_made_once_and_answered_in_its_turn(bench, sensors):
-    run = bench.play(*sensors, heard=sensors, duration_s=1.2)
+    run = bench.play(*sensors, heard=sensors, duration_s=1.2, initial_pose=GUESS)
     assert answered(run) == steps(*sensors, duration_s=1.2)
     due = list(due_frames(sensors, epoch_ns=EPOCH_NS, duration_s=1.2))
     for sensor in sensors:
@@ -242,7 +244,7 @@ def test_every_frame_of_several_sensors_is_made_once_and_answered_in_its_turn(be
 
 
 def test_a_sensor_whose_frames_are_all_refused_holds_nobody_up(bench):
-    run = bench.play(PMD, SLOW, heard=(PMD, SLOW), duration_s=1.2, max_age_s=0.2)
+    run = bench.play(PMD, SLOW, heard=(PMD, SLOW), duration_s=1.2, max_age_s=0.2, initial_pose=GUESS)
     assert answered(run) == steps(PMD, SLOW, duration_s=1.2)
     refused = [status.reason for status in statuses_of(run) if status.sensor == SLOW.name]
     assert len(refused) == 2
@@ -250,6 +252,6 @@ def test_a_sensor_whose_frames_are_all_refused_holds_nobody_up(bench):
 
 
 def test_a_sensor_that_the_estimator_does_not_use_holds_nobody_up(bench):
-    run = bench.play(PMD, LIDAR, heard=(PMD,), duration_s=1.0)
+    run = bench.play(PMD, LIDAR, heard=(PMD,), duration_s=1.0, initial_pose=GUESS)
     assert answered(run) == steps(PMD, duration_s=1.0)
     assert len(frames_of(run, LIDAR)) == 2

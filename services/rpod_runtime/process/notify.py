@@ -12,6 +12,8 @@ from contextlib import suppress
 from math import inf
 from threading import Event
 
+from rpod_runtime.process.collector import process_has_started
+
 _BEATS = 4
 """Number of watchdog messages in the manager's time limit; sd_watchdog_enabled(3) recommends at least two."""
 
@@ -41,7 +43,8 @@ class ServiceManager:
         self._next_s = 0.0
 
     def ready(self, message: str) -> None:
-        """Tell that the service is at work, and at what."""
+        """Tell that the service is at work, and at what; its start is over."""
+        process_has_started()
         self._send(f"READY=1\nSTATUS={_line(message)}")
 
     def works(self, message: str, *, at_work: bool) -> None:

@@ -356,13 +356,13 @@ def test_pictures_show_depth_and_amplitude_under_the_wireframe(followed):
 
 
 def test_an_acceptance_campaign_counts_right_frames_and_frames_of_something_else():
-    chosen = cells(pmd_acceptance, case=("right", "upside-down", "size-1.1"))
-    assert [cell.spoiled for cell in chosen] == [False, True, True]
+    chosen = cells(pmd_acceptance, case=("right", "size-1.1"))
+    assert [cell.spoiled for cell in chosen] == [False, True]
     results = []
     for cell in chosen:
         rows = pl.DataFrame([acceptance.run(cell, 3, 0)], schema_overrides=acceptance.SCHEMA)
         results.append(CellResult(cell, rows, pmd_acceptance.summarise(cell, rows)))
-    right, _, larger = (result.summary for result in results)
+    right, larger = (result.summary for result in results)
     assert (right["acquisition_accepted"], right["tracker_accepted"]) == (1, 1)
     assert (right["acquisition_right"], right["tracker_right"]) == (1, 1)
     assert (larger["acquisition_accepted"], larger["tracker_accepted"]) == (0, 0)

@@ -28,7 +28,6 @@ from functools import cache
 from math import ceil, degrees, log10
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import chdtri, gammainccinv, ndtr, ndtri
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
@@ -182,7 +181,10 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
     low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
     if not (excess(low) > 0.0 > excess(high)):  # a line, or alike along all axes
         return low if excess(low) <= 0.0 else high
-    return min(high, brentq(excess, low, high, xtol=0.5 * _CLOSE) + 0.5 * _CLOSE)
+    while high - low > _CLOSE:
+        between = 0.5 * (low + high)
+        low, high = (between, high) if excess(between) > 0.0 else (low, between)
+    return high
 
 
 @cache
