@@ -18,13 +18,21 @@ faces may differ more than their classes do; but its probability is 0, so it pro
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.brightness_fit import faces_of, fitted, misfit, mixed, mixture_of, surfaces_of
+from rpod_pose.pmd.joint.brightness_fit import (
+    Fitted,
+    Window,
+    faces_of,
+    filed,
+    fitted,
+    misfit,
+    mixture_of,
+    surfaces_of,
+)
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -58,9 +66,6 @@ change."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts. Hand: a fainter one tells nothing of the
 place."""
-TYPICAL_SAMPLES = 1000
-"""Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
-computation."""
 
 
 class Appearance(NamedTuple):
@@ -90,12 +95,16 @@ class Shown(NamedTuple):
     """Range along each ray, inf without a hit, shape (per_px * rows, per_px * columns)."""
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
+    window: Window
+    """The pixels around the target."""
     shade: Float32Array
-    """Smoothed brightness by the materials of the file, shape (rows, columns)."""
+    """Smoothed brightness by the materials of the file, on the pixels of the window."""
     typical: float
     """Median brightness before smoothing; 0 if nothing is in view."""
     fitted: Float32Array
-    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same shape."""
+    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same pixels."""
+    gain: Float32Array
+    """Factor on the brightness of each surface by the file, shape (K,); none without an image."""
 
 
 class PatchRenderer:
@@ -126,7 +135,15 @@ class PatchRenderer:
         cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
         return hits
 
-    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
+    def render(
+        self,
+        rays: GridArrays,
+        per_px: int,
+        pose: PoseArrays,
+        patch: Patch,
+        *,
+        before: Float32Array | None = None,
+    ) -> Shown:
         """Return the target at a pose; its ranges are valid until the next call.
 
         Args:
@@ -134,19 +151,15 @@ class PatchRenderer:
             per_px: number of rays for each pixel, along rows and columns.
             pose: pose of the target.
             patch: the image.
+            before: factors that were fitted to the image at another pose (``fitted``).
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
-        as_filed = np.ones(len(self._surfaces), np.float32)
-        shade = mixed(as_filed, mixture, patch.image.shape, np.float32(np.inf))
-        few = shade.ravel()[:: shade.size // TYPICAL_SAMPLES + 1]
-        few = few[few > 0.0]
-        typical = float(np.median(few)) if few.size else 0.0
-        np.minimum(shade, clip * typical, out=shade)
-        cv2.GaussianBlur(shade, (0, 0), blur_px, dst=shade)
-        as_seen = typical > 0.0 and patch.typical > 0.0
-        fit = fitted(patch, mixture, clip=clip, blur_px=blur_px) if as_seen else shade
-        return Shown(pose, hits.range_m, per_px, shade, typical, fit)
+        by_file = filed(mixture, clip=clip, blur_px=blur_px)
+        fit = Fitted(by_file.shade, np.empty(0, np.float32))
+        if by_file.typical > 0.0 and patch.typical > 0.0:
+            fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px, before=before)
+        return Shown(pose, hits.range_m, per_px, mixture.window, *by_file, *fit)
 
     def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
         """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
@@ -206,11 +219,12 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         patch: the image around the target.
         shown: the target rendered on the patch's pixels.
     """
-    shade, (R, t) = shown.shade, shown.pose
+    shade, window, (R, t) = shown.shade, shown.window, shown.pose
+    rows, columns = patch.image.shape
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
     sample, merged, count = np.empty(most, np.int64), np.zeros(most, np.bool_), 0
     place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
-    taken = np.zeros((shade.shape[0], shade.shape[1], DIRECTIONS), np.bool_)
+    taken = np.zeros((rows, columns, DIRECTIONS), np.bool_)
     gain = patch.typical / shown.typical if most else 1.0
     least = LEAST_RATIO * patch.least
     faintest = least / gain
@@ -225,7 +239,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
             continue
         at = imaged(x / z, y / z, lens)
         u, v = at.column - patch.column, at.row - patch.row
-        if not (0.0 <= v < shade.shape[0] - 1 and 0.0 <= u < shade.shape[1] - 1):  # also for NaN
+        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also for NaN
             continue
         i, j = int(v), int(u)
         if math.sqrt(x * x + y * y + z * z) > (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j):
@@ -236,7 +250,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if taken[i, j, way]:
             continue
         taken[i, j, way] = True
-        profile = Profile(u, v, across, down)
+        profile = Profile(u - window.column, v - window.row, across, down)
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(shown.fitted, profile, least)
         sample[count] = n
@@ -320,6 +334,7 @@ class Sights:
     def __init__(self, edges: EdgeArrays, renderer: PatchRenderer, frame: JointFrame) -> None:
         self._edges, self._renderer, self._frame = edges, renderer, frame
         self._known: list[EdgeSight] = []
+        self._gain: Float32Array | None = None
 
     def at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at a pose, by the nearest known rendering if it is near enough."""
@@ -327,7 +342,8 @@ class Sights:
         moved = [moved_px(each.expected.pose, pose, radius_m, frame.lens.fx) for each in self._known]
         if moved and min(moved) < STILL_PX:
             return self._known[int(np.argmin(moved))]
-        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch)
+        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch, before=self._gain)
+        self._gain = shown.gain if shown.gain.size else self._gain
         expected = expect_edges(self._edges, frame.lens, frame.patch, shown)
         self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
         return self._known[-1]
