@@ -12,7 +12,6 @@ Both fits are non-negative: multiplicative steps of maximum likelihood (MLEM; L.
 Transactions on Medical Imaging 1(2), 1982) with the image's blur as the system.
 """
 
-from math import cos, radians
 from typing import NamedTuple
 
 import cv2
@@ -21,9 +20,8 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.rendering import Window, window_of
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
-from rpod_target.mesh.topology import components, edges
 
 ROUNDS = 3
 """Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
@@ -33,38 +31,18 @@ Lambertian add to the spread of an albedo (``brightness``)."""
 MOST_SIGMAS = 3.0
 """Greatest residual of a pixel or point that counts, in sigmas. Physics: one in 370 normal errors is
 larger; another body or a shadow is an outlier."""
-PLANES = 50.0
-"""Number of steps in which normals and offsets of faces are told apart. Numerics: a degree, and 2 % of the
-radius; more faces need more steps of the fit."""
-SMOOTH_DEG = 30.0
-"""Angle between neighbouring faces up to which they are one surface. Physics: a round body of at least twelve
-sides."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
-TYPICAL_SAMPLES = 1000
+TYPICAL_SAMPLES = 20_000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
-computation."""
-SKY_PX = 12
-"""Width of the sky around the target in a window, px. Numerics: beyond it no search for an edge meets the
-target's smoothed image."""
+computation; all pixels of a target of 140 by 140."""
 
 MIXED_PIXEL = -2
 """Stands for the triangle of a pixel whose rays meet several. Numerics: no triangle has this number."""
-
-
-class Window(NamedTuple):
-    """The pixels of a rendering around the target; beyond them there is sky alone."""
-
-    row: int
-    """First row."""
-    column: int
-    """First column."""
-    rows: int
-    columns: int
 
 
 class Mixture(NamedTuple):
@@ -90,36 +68,6 @@ class Filed(NamedTuple):
     """Median brightness before smoothing; 0 if nothing is in view."""
 
 
-class Fitted(NamedTuple):
-    """The rendering with the brightness of each part fitted to an image."""
-
-    shade: Float32Array
-    """Smoothed brightness in units of the image, clipped like it, on the pixels of the window."""
-    gain: Float32Array
-    """Factor on the brightness of each part by the file, shape (K,)."""
-
-
-def faces_of(target: Target) -> NDArray[np.int32]:
-    """Return the number of the plane face of one material to which each triangle belongs, shape (T,)."""
-    normals, triangles_m = np.asarray(target.normals), np.asarray(target.triangles_m)
-    offsets = np.einsum("ni,ni->n", normals, triangles_m[:, 0]) / target.radius_m
-    steps = np.rint(PLANES * np.column_stack((normals, offsets))).astype(np.int64)
-    planes = np.column_stack((steps, target.triangle_material))
-    each: NDArray[np.int32] = np.unique(planes, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
-    return each
-
-
-def surfaces_of(target: Target) -> NDArray[np.int32]:
-    """Return the number of the smooth surface of one material to which each triangle belongs, shape (T,)."""
-    normals, material = np.asarray(target.normals), np.asarray(target.triangle_material)
-    _, beside = edges(np.asarray(target.triangles_m))
-    one, other = beside.T
-    smooth = np.einsum("ni,ni->n", normals[one], normals[other]) > cos(radians(SMOOTH_DEG))
-    smooth &= material[one] == material[other]
-    found: NDArray[np.int32] = components(beside[smooth], size=len(normals)).astype(np.int32)
-    return found
-
-
 def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
     """Return the rendering with the materials of the file.
 
@@ -132,15 +80,7 @@ def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
     return Filed(_blurred(shade, blur_px), typical)
 
 
-def fitted(
-    patch: Patch,
-    mixture: Mixture,
-    by_file: Filed,
-    *,
-    clip: float,
-    blur_px: float,
-    before: Float32Array | None = None,
-) -> Fitted:
+def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_px: float) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
     A part of few pixels, or of none that it has for itself, keeps the brightness by the file.
@@ -151,18 +91,8 @@ def fitted(
         by_file: the same rendering with the materials of the file.
         clip: greatest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
-        before: factors that were fitted to the same image at another pose; one step is then enough.
     """
-    image, first = _inside(patch, mixture), _first(patch, by_file)
-    weight, rendered, most = weights(mixture.alone), first * by_file.shade, np.float32(clip * patch.typical)
-    gain, faint = _equal(mixture, first), np.float32(faintest(patch))
-    if before is not None:
-        gain[: before.size] = before[: gain.size]
-        rendered = _blurred(mixed(gain, mixture, most), blur_px)
-    for _ in range(ROUNDS if before is None else 1):
-        adapt(gain, (float(first), HELD), mixture, weight, ratio_of(image, rendered, faint))
-        rendered = _blurred(mixed(gain, mixture, most), blur_px)
-    return Fitted(rendered, gain)
+    return _fitted(patch, mixture, by_file, clip, blur_px, alone=True)
 
 
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
@@ -174,30 +104,31 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     if not mixture.pixel.size:
         return 0.0
     by_file = filed(mixture, clip=clip, blur_px=blur_px)
-    image, first = _inside(patch, mixture), _first(patch, by_file)
-    weight, rendered, most = np.ones_like(image), first * by_file.shade, np.float32(clip * patch.typical)
-    gain, faint = _equal(mixture, first), np.float32(faintest(patch))
-    for _ in range(ROUNDS):
-        ratio = _blurred(ratio_of(image, rendered, faint), blur_px)
-        adapt(gain, (float(first), 0.0), mixture, weight, ratio)
-        rendered = _blurred(mixed(gain, mixture, most), blur_px)
+    rendered = _fitted(patch, mixture, by_file, clip, blur_px, alone=False)
     return 0.5 * squares_of(patch, rendered, mixture.window) / (4.0 * np.pi * blur_px**2)
 
 
-def _inside(patch: Patch, mixture: Mixture) -> Float32Array:
-    """Return the image on the pixels of the window, shape (rows, columns)."""
-    row, column, rows, columns = mixture.window
-    return np.ascontiguousarray(patch.image[row : row + rows, column : column + columns])
+def _fitted(
+    patch: Patch, mixture: Mixture, by_file: Filed, clip: float, blur_px: float, *, alone: bool
+) -> Float32Array:
+    """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
 
-
-def _first(patch: Patch, by_file: Filed) -> np.float32:
-    """Return the factor by which the image is brighter than the rendering by the file."""
-    return np.float32(patch.typical / by_file.typical)
-
-
-def _equal(mixture: Mixture, first: np.float32) -> Float32Array:
-    """Return the same factor for each part."""
-    return np.full(int(mixture.part.max()) + 1, first, np.float32)
+    If ``alone``, pixels that show one part alone decide, and the file where there is none. Else all pixels
+    count alike, and the file does not.
+    """
+    (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
+    image = np.ascontiguousarray(patch.image[row : row + rows, column : column + columns])
+    weight = weights(mixture.alone) if alone else np.ones_like(image)
+    first, most = np.float32(patch.typical / by_file.typical), np.float32(clip * patch.typical)
+    gain = np.full(int(mixture.part.max()) + 1, first, np.float32)
+    rendered = first * by_file.shade
+    for _ in range(ROUNDS):
+        ratio = ratio_of(image, rendered, faint)
+        if not alone:
+            _blurred(ratio, blur_px)
+        adapt(gain, (float(first), HELD if alone else 0.0), mixture, weight, ratio)
+        rendered = _blurred(mixed(gain, mixture, most), blur_px)
+    return rendered
 
 
 def _blurred(image: Float32Array, blur_px: float) -> Float32Array:
@@ -235,36 +166,6 @@ def squares_of(patch: Patch, rendered: Float32Array, window: Window) -> float:
             residual = image[i, j] - shown
             total += min(residual * residual / (UNEVEN * UNEVEN * shown * shown + floor), MOST_SIGMAS**2)
     return total
-
-
-@kernel
-def window_of(triangle: NDArray[np.int32], per_px: int) -> Window:
-    """Return the pixels around the target, as far as ``SKY_PX`` beyond it; a corner if none shows it.
-
-    Args:
-        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
-        per_px: number of rays for each pixel, along rows and columns.
-    """
-    rows, columns = triangle.shape
-    top, bottom, left, right = rows, 0, columns, 0
-    for v in range(rows):
-        line, most = triangle[v], np.int32(-1)
-        for u in range(columns):
-            most = max(most, line[u])
-        if most < 0:
-            continue
-        top, bottom, begin, end = min(top, v), v + 1, 0, columns
-        while begin < left and line[begin] < 0:
-            begin += 1
-        while end > right and line[end - 1] < 0:
-            end -= 1
-        left, right = min(left, begin), max(right, end)
-    if bottom == 0:
-        top, left = 0, 0
-    row, column = max(top // per_px - SKY_PX, 0), max(left // per_px - SKY_PX, 0)
-    below = min((bottom - 1) // per_px + 1 + SKY_PX, rows // per_px)
-    beside = min((right - 1) // per_px + 1 + SKY_PX, columns // per_px)
-    return Window(row, column, below - row, beside - column)
 
 
 @kernel

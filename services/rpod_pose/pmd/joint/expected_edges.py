@@ -24,14 +24,10 @@ from numpy.typing import NDArray
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.brightness_fit import (
-    Fitted,
-    Window,
-    faces_of,
     filed,
     fitted,
     misfit,
     mixture_of,
-    surfaces_of,
 )
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
@@ -43,7 +39,8 @@ from rpod_pose.pmd.joint.edge_search import (
     steepest,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.registration.brightness import albedos
+from rpod_pose.pmd.rendering import Window
+from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
@@ -103,8 +100,6 @@ class Shown(NamedTuple):
     """Median brightness before smoothing; 0 if nothing is in view."""
     fitted: Float32Array
     """Smoothed brightness, in units of the image, with that of each surface fitted to it; same pixels."""
-    gain: Float32Array
-    """Factor on the brightness of each surface by the file, shape (K,); none without an image."""
 
 
 class PatchRenderer:
@@ -135,15 +130,7 @@ class PatchRenderer:
         cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
         return hits
 
-    def render(
-        self,
-        rays: GridArrays,
-        per_px: int,
-        pose: PoseArrays,
-        patch: Patch,
-        *,
-        before: Float32Array | None = None,
-    ) -> Shown:
+    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
         """Return the target at a pose; its ranges are valid until the next call.
 
         Args:
@@ -151,15 +138,14 @@ class PatchRenderer:
             per_px: number of rays for each pixel, along rows and columns.
             pose: pose of the target.
             patch: the image.
-            before: factors that were fitted to the image at another pose (``fitted``).
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
         by_file = filed(mixture, clip=clip, blur_px=blur_px)
-        fit = Fitted(by_file.shade, np.empty(0, np.float32))
-        if by_file.typical > 0.0 and patch.typical > 0.0:
-            fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px, before=before)
-        return Shown(pose, hits.range_m, per_px, mixture.window, *by_file, *fit)
+        shade, typical = by_file
+        as_seen = typical > 0.0 and patch.typical > 0.0
+        fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade
+        return Shown(pose, hits.range_m, per_px, mixture.window, shade, typical, fit)
 
     def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
         """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
@@ -334,7 +320,6 @@ class Sights:
     def __init__(self, edges: EdgeArrays, renderer: PatchRenderer, frame: JointFrame) -> None:
         self._edges, self._renderer, self._frame = edges, renderer, frame
         self._known: list[EdgeSight] = []
-        self._gain: Float32Array | None = None
 
     def at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at a pose, by the nearest known rendering if it is near enough."""
@@ -342,8 +327,7 @@ class Sights:
         moved = [moved_px(each.expected.pose, pose, radius_m, frame.lens.fx) for each in self._known]
         if moved and min(moved) < STILL_PX:
             return self._known[int(np.argmin(moved))]
-        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch, before=self._gain)
-        self._gain = shown.gain if shown.gain.size else self._gain
+        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch)
         expected = expect_edges(self._edges, frame.lens, frame.patch, shown)
         self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
         return self._known[-1]
