@@ -19,6 +19,20 @@ from rpod_schemas.types import Float32Array
 
 NINE = 9
 """Number of rays: a pixel and its eight neighbours. Physics: 3 x 3."""
+SKY_PX = 12
+"""Width of the sky around the target in a window, px. Numerics: beyond it no search for an edge meets the
+target's smoothed image."""
+
+
+class Window(NamedTuple):
+    """The pixels of a rendering around the target; beyond them there is sky alone."""
+
+    row: int
+    """First row."""
+    column: int
+    """First column."""
+    rows: int
+    columns: int
 
 
 class FineRanges(NamedTuple):
@@ -242,3 +256,33 @@ def _product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     y = a[2] * b[0] - a[0] * b[2]
     z = a[0] * b[1] - a[1] * b[0]
     return float(x * c[0] + y * c[1] + z * c[2])
+
+
+@kernel
+def window_of(triangle: NDArray[np.int32], per_px: int) -> Window:
+    """Return the pixels around the target, as far as ``SKY_PX`` beyond it; a corner if none shows it.
+
+    Args:
+        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
+        per_px: number of rays for each pixel, along rows and columns.
+    """
+    rows, columns = triangle.shape
+    top, bottom, left, right = rows, 0, columns, 0
+    for v in range(rows):
+        line, most = triangle[v], np.int32(-1)
+        for u in range(columns):
+            most = max(most, line[u])
+        if most < 0:
+            continue
+        top, bottom, begin, end = min(top, v), v + 1, 0, columns
+        while begin < left and line[begin] < 0:
+            begin += 1
+        while end > right and line[end - 1] < 0:
+            end -= 1
+        left, right = min(left, begin), max(right, end)
+    if bottom == 0:
+        top, left = 0, 0
+    row, column = max(top // per_px - SKY_PX, 0), max(left // per_px - SKY_PX, 0)
+    below = min((bottom - 1) // per_px + 1 + SKY_PX, rows // per_px)
+    beside = min((right - 1) // per_px + 1 + SKY_PX, columns // per_px)
+    return Window(row, column, below - row, beside - column)

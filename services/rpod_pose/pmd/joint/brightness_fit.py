@@ -12,19 +12,16 @@ Both fits are non-negative: multiplicative steps of maximum likelihood (MLEM; L.
 Transactions on Medical Imaging 1(2), 1982) with the image's blur as the system.
 """
 
-from math import cos, radians
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.joint.edge_search import Patch
-from rpod_schemas.arrays import Array
+from rpod_pose.pmd.rendering import Window, window_of
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
-from rpod_target.mesh.topology import components, edges
 
 ROUNDS = 3
 """Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
@@ -34,28 +31,26 @@ Lambertian add to the spread of an albedo (``brightness``)."""
 MOST_SIGMAS = 3.0
 """Greatest residual of a pixel or point that counts, in sigmas. Physics: one in 370 normal errors is
 larger; another body or a shadow is an outlier."""
-PLANES = 50.0
-"""Number of steps in which normals and offsets of faces are told apart. Numerics: a degree, and 2 % of the
-radius; more faces need more steps of the fit."""
-SMOOTH_DEG = 30.0
-"""Angle between neighbouring faces up to which they are one surface. Physics: a round body of at least twelve
-sides."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
+TYPICAL_SAMPLES = 20_000
+"""Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
+computation; all pixels of a target of 140 by 140."""
 
 MIXED_PIXEL = -2
 """Stands for the triangle of a pixel whose rays meet several. Numerics: no triangle has this number."""
 
 
 class Mixture(NamedTuple):
-    """Shares of the target's parts, plane faces or surfaces, in the pixels of a rendering; M in all."""
+    """Shares of the target's parts, plane faces or surfaces, in the pixels of a window; M in all."""
 
+    window: Window
     pixel: NDArray[np.int32]
-    """Row-major index of the pixel, shape (M,)."""
+    """Row-major index of the pixel in the window, shape (M,)."""
     part: NDArray[np.int32]
     """Number of the part, shape (M,)."""
     light: Float32Array
@@ -64,28 +59,28 @@ class Mixture(NamedTuple):
     """Number of the part that a pixel shows alone, -1 for others or the sky, shape (rows, columns)."""
 
 
-def faces_of(target: Target) -> NDArray[np.int32]:
-    """Return the number of the plane face of one material to which each triangle belongs, shape (T,)."""
-    normals, triangles_m = np.asarray(target.normals), np.asarray(target.triangles_m)
-    offsets = np.einsum("ni,ni->n", normals, triangles_m[:, 0]) / target.radius_m
-    steps = np.rint(PLANES * np.column_stack((normals, offsets))).astype(np.int64)
-    planes = np.column_stack((steps, target.triangle_material))
-    each: NDArray[np.int32] = np.unique(planes, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
-    return each
+class Filed(NamedTuple):
+    """The rendering with the materials of the file."""
+
+    shade: Float32Array
+    """Smoothed brightness, clipped like the image, on the pixels of the window."""
+    typical: float
+    """Median brightness before smoothing; 0 if nothing is in view."""
 
 
-def surfaces_of(target: Target) -> NDArray[np.int32]:
-    """Return the number of the smooth surface of one material to which each triangle belongs, shape (T,)."""
-    normals, material = np.asarray(target.normals), np.asarray(target.triangle_material)
-    _, beside = edges(np.asarray(target.triangles_m))
-    one, other = beside.T
-    smooth = np.einsum("ni,ni->n", normals[one], normals[other]) > cos(radians(SMOOTH_DEG))
-    smooth &= material[one] == material[other]
-    found: NDArray[np.int32] = components(beside[smooth], size=len(normals)).astype(np.int32)
-    return found
+def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
+    """Return the rendering with the materials of the file.
+
+    Args:
+        mixture: the parts that the pixels show at a pose.
+        clip: greatest brightness, over the typical one.
+        blur_px: standard deviation of the blur.
+    """
+    shade, typical = clipped(mixture, clip)
+    return Filed(_blurred(shade, blur_px), typical)
 
 
-def fitted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> Float32Array:
+def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_px: float) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
     A part of few pixels, or of none that it has for itself, keeps the brightness by the file.
@@ -93,10 +88,11 @@ def fitted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> Fl
     Args:
         patch: the image, smoothed.
         mixture: the parts that the pixels show at a pose.
+        by_file: the same rendering with the materials of the file.
         clip: greatest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
-    return _fitted(patch, mixture, clip, blur_px, alone=True)
+    return _fitted(patch, mixture, by_file, clip, blur_px, alone=True)
 
 
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
@@ -107,47 +103,69 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     """
     if not mixture.pixel.size:
         return 0.0
-    rendered = _fitted(patch, mixture, clip, blur_px, alone=False)
-    deviation = np.hypot(UNEVEN * rendered, np.hypot(_faint(patch), patch.noise))
-    residual = np.minimum(np.abs(patch.image - rendered) / deviation, MOST_SIGMAS)
-    if patch.saturated.size:
-        residual = residual[patch.saturated == 0]
-    return float(0.5 * np.square(residual).sum() / (4.0 * np.pi * blur_px**2))
+    by_file = filed(mixture, clip=clip, blur_px=blur_px)
+    rendered = _fitted(patch, mixture, by_file, clip, blur_px, alone=False)
+    return 0.5 * squares_of(patch, rendered, mixture.window) / (4.0 * np.pi * blur_px**2)
 
 
-def _fitted(patch: Patch, mixture: Mixture, clip: float, blur_px: float, *, alone: bool) -> Float32Array:
+def _fitted(
+    patch: Patch, mixture: Mixture, by_file: Filed, clip: float, blur_px: float, *, alone: bool
+) -> Float32Array:
     """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
 
     If ``alone``, pixels that show one part alone decide, and the file where there is none. Else all pixels
     count alike, and the file does not.
     """
-    weight = weights(mixture.alone) if alone else np.ones(mixture.alone.shape, np.float32)
-    shape, most, faint = patch.image.shape, np.float32(clip * patch.typical), _faint(patch)
-    gain = np.ones(int(mixture.part.max()) + 1, np.float32)
-    bright = mixed(gain, mixture, shape, np.float32(np.inf))
-    first = float(patch.typical / np.median(bright[bright > 0.0]))
-    gain *= np.float32(first)
-
-    def shown() -> Float32Array:
-        """Return the smoothed rendering, clipped like the image."""
-        return _blurred(mixed(gain, mixture, shape, most), blur_px)
-
+    (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
+    image = np.ascontiguousarray(patch.image[row : row + rows, column : column + columns])
+    weight = weights(mixture.alone) if alone else np.ones_like(image)
+    first, most = np.float32(patch.typical / by_file.typical), np.float32(clip * patch.typical)
+    gain = np.full(int(mixture.part.max()) + 1, first, np.float32)
+    rendered = first * by_file.shade
     for _ in range(ROUNDS):
-        ratio = ratio_of(patch.image, shown(), faint)
-        if alone:
-            adapt(gain, (first, HELD), mixture, weight, ratio)
-        else:
-            adapt(gain, (first, 0.0), mixture, weight, _blurred(ratio, blur_px))
-    return shown()
+        ratio = ratio_of(image, rendered, faint)
+        if not alone:
+            _blurred(ratio, blur_px)
+        adapt(gain, (float(first), HELD if alone else 0.0), mixture, weight, ratio)
+        rendered = _blurred(mixed(gain, mixture, most), blur_px)
+    return rendered
 
 
-def _faint(patch: Patch) -> np.float32:
+def _blurred(image: Float32Array, blur_px: float) -> Float32Array:
+    """Return an image, smoothed in place."""
+    cv2.GaussianBlur(image, (0, 0), blur_px, dst=image)
+    return image
+
+
+@kernel
+def faintest(patch: Patch) -> float:
     """Return the least brightness that counts: what differs by less is no change of the image."""
-    return np.float32(0.5 * patch.least)
+    return 0.5 * patch.least
 
 
-def _blurred(image: Array, blur_px: float) -> Float32Array:
-    return cv2.GaussianBlur(image, (0, 0), blur_px).astype(np.float32, copy=False)
+@kernel
+def squares_of(patch: Patch, rendered: Float32Array, window: Window) -> float:
+    """Return the sum of the squared residuals of an image's pixels, in sigmas, at most ``MOST_SIGMAS`` each.
+
+    Args:
+        patch: the image.
+        rendered: the rendering on the pixels of the window, shape (rows, columns); beyond them it is 0.
+        window: the pixels around the target.
+    """
+    image, check = patch.image, patch.saturated.size > 0
+    floor, total = faintest(patch) ** 2 + patch.noise**2, 0.0
+    bottom, right = window.row + window.rows, window.column + window.columns
+    for i in range(image.shape[0]):
+        beside = i < window.row or i >= bottom
+        for j in range(image.shape[1]):
+            if check and patch.saturated[i, j] > 0:
+                continue
+            shown = 0.0
+            if not (beside or j < window.column or j >= right):
+                shown = float(rendered[i - window.row, j - window.column])
+            residual = image[i, j] - shown
+            total += min(residual * residual / (UNEVEN * UNEVEN * shown * shown + floor), MOST_SIGMAS**2)
+    return total
 
 
 @kernel
@@ -162,51 +180,84 @@ def mixture_of(
         light: brightness that a ray on each triangle adds, shape (T,) or more.
         part: number of the part of each triangle, shape (T,).
     """
-    rows, columns = triangle.shape[0] // per_px, triangle.shape[1] // per_px
-    pixels, numbers = np.empty(triangle.size, np.int32), np.empty(triangle.size, np.int32)
-    lights, count = np.empty(triangle.size, np.float32), 0
-    alone = np.full((rows, columns), -1, np.int32)
-    for i in range(rows):
-        for j in range(columns):
-            first, sky = count, False
-            only = one_of(triangle, per_px, i, j)
+    window, rays = window_of(triangle, per_px), per_px * per_px
+    alone, count = one_of(triangle, per_px, window)
+    pixels, numbers = np.empty(count, np.int32), np.empty(count, np.int32)
+    lights, count = np.empty(count, np.float32), 0
+    for i in range(window.rows):
+        for j in range(window.columns):
+            pixel, only, first = i * window.columns + j, alone[i, j], count
             if only >= 0:
-                numbers[count], lights[count] = part[only], 0.0
-                for _ in range(per_px * per_px):  # one after the other, as below: rounding is the same
-                    lights[count] += float(light[only])
-                alone[i, j], pixels[count] = part[only], i * columns + j
+                pixels[count], numbers[count], lights[count] = pixel, part[only], rays * light[only]
+                alone[i, j] = part[only]
                 count += 1
             if only != MIXED_PIXEL:
                 continue
-            for v in range(per_px * i, per_px * (i + 1)):
-                for u in range(per_px * j, per_px * (j + 1)):
+            row, column, sky = per_px * (window.row + i), per_px * (window.column + j), False
+            for v in range(row, row + per_px):
+                for u in range(column, column + per_px):
                     met = triangle[v, u]
-                    if met < 0:
-                        sky = True
-                    else:
+                    sky |= met < 0
+                    if met >= 0:
                         share = int(part[met]), float(light[met])
                         count = _add(numbers, lights, (first, count), share)
-            pixels[first:count] = i * columns + j
-            if count == first + 1 and not sky:
-                alone[i, j] = numbers[first]
-    return Mixture(pixels[:count], numbers[:count], lights[:count], alone)
+            pixels[first:count] = pixel
+            alone[i, j] = numbers[first] if count == first + 1 and not sky else -1
+    return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone)
 
 
-@inlined_kernel
-def one_of(triangle: NDArray[np.int32], per_px: int, i: int, j: int) -> int:
-    """Return the triangle that all rays of a pixel meet, -1 if none meets any, else ``MIXED_PIXEL``.
+@kernel
+def one_of(triangle: NDArray[np.int32], per_px: int, window: Window) -> tuple[NDArray[np.int32], int]:
+    """Return the triangle that all rays of each pixel of a window meet, shape (rows, columns), and a number.
+
+    It is -1 if none meets any, ``MIXED_PIXEL`` if they meet several. The number is at least that of the
+    parts in the pixels.
 
     Args:
         triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
         per_px: number of rays for each pixel, along rows and columns.
-        i: row of the pixel.
-        j: column of the pixel.
+        window: the pixels.
     """
-    first, same = triangle[per_px * i, per_px * j], True
-    for v in range(per_px * i, per_px * (i + 1)):
-        for u in range(per_px * j, per_px * (j + 1)):
-            same &= triangle[v, u] == first
-    return first if same else MIXED_PIXEL
+    one, most, rays = np.empty((window.rows, window.columns), np.int32), 0, per_px * per_px
+    begin = per_px * window.column
+    end = begin + per_px * window.columns
+    step = np.uint64(per_px)  # an index without a sign is not checked, so that the loops are vectorised
+    for i in range(window.rows):
+        line = one[i]
+        first = triangle[per_px * (window.row + i), begin:end]
+        for j in range(np.uint64(window.columns)):
+            line[j] = first[step * j]
+        for v in range(per_px * (window.row + i), per_px * (window.row + i + 1)):
+            other = triangle[v, begin:end]
+            for k in range(step):
+                for j in range(np.uint64(window.columns)):
+                    line[j] = line[j] if other[step * j + k] == first[step * j] else MIXED_PIXEL
+        for j in range(np.uint64(window.columns)):
+            most += 0 if line[j] == -1 else (1 if line[j] >= 0 else rays)
+    return one, most
+
+
+@kernel
+def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
+    """Return the brightness of the pixels by the file, shape (rows, columns), and its median.
+
+    Args:
+        mixture: the parts that the pixels show.
+        clip: greatest brightness over the median.
+    """
+    image = np.zeros(mixture.alone.size, np.float32)
+    for n in range(mixture.pixel.size):
+        image[mixture.pixel[n]] += mixture.light[n]
+    step = image.size // TYPICAL_SAMPLES + 1
+    few, count = np.empty(image.size // step + 1, np.float32), 0
+    for n in range(0, image.size, step):
+        few[count] = image[n]
+        count += image[n] > 0.0
+    typical = float(np.median(few[:count])) if count else 0.0
+    most = np.float32(clip * typical)
+    for n in range(image.size):
+        image[n] = min(image[n], most)
+    return image.reshape(mixture.alone.shape), typical
 
 
 @kernel
@@ -253,21 +304,20 @@ def weights(alone: NDArray[np.int32]) -> Float32Array:
 
 
 @kernel
-def mixed(gain: Float32Array, mixture: Mixture, shape: tuple[int, int], most: np.float32) -> Float32Array:
-    """Return the brightness of the pixels, shape (rows, columns).
+def mixed(gain: Float32Array, mixture: Mixture, most: np.float32) -> Float32Array:
+    """Return the brightness of the pixels of the window, shape (rows, columns).
 
     Args:
         gain: factor on the brightness of each part, shape (K,).
         mixture: the parts that the pixels show.
-        shape: number of rows and columns of pixels.
         most: greatest brightness; inf for none.
     """
-    image = np.zeros(shape[0] * shape[1], np.float32)
+    image = np.zeros(mixture.alone.size, np.float32)
     for n in range(mixture.pixel.size):
         image[mixture.pixel[n]] += gain[mixture.part[n]] * mixture.light[n]
     for n in range(image.size):
         image[n] = min(image[n], most)
-    return image.reshape(shape)
+    return image.reshape(mixture.alone.shape)
 
 
 @kernel

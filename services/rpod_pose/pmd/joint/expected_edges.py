@@ -18,13 +18,17 @@ faces may differ more than their classes do; but its probability is 0, so it pro
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.brightness_fit import faces_of, fitted, misfit, mixed, mixture_of, surfaces_of
+from rpod_pose.pmd.joint.brightness_fit import (
+    filed,
+    fitted,
+    misfit,
+    mixture_of,
+)
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -35,7 +39,8 @@ from rpod_pose.pmd.joint.edge_search import (
     steepest,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.registration.brightness import albedos
+from rpod_pose.pmd.rendering import Window
+from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
@@ -58,9 +63,6 @@ change."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts. Hand: a fainter one tells nothing of the
 place."""
-TYPICAL_SAMPLES = 1000
-"""Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
-computation."""
 
 
 class Appearance(NamedTuple):
@@ -90,12 +92,14 @@ class Shown(NamedTuple):
     """Range along each ray, inf without a hit, shape (per_px * rows, per_px * columns)."""
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
+    window: Window
+    """The pixels around the target."""
     shade: Float32Array
-    """Smoothed brightness by the materials of the file, shape (rows, columns)."""
+    """Smoothed brightness by the materials of the file, on the pixels of the window."""
     typical: float
     """Median brightness before smoothing; 0 if nothing is in view."""
     fitted: Float32Array
-    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same shape."""
+    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same pixels."""
 
 
 class PatchRenderer:
@@ -137,16 +141,11 @@ class PatchRenderer:
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
-        as_filed = np.ones(len(self._surfaces), np.float32)
-        shade = mixed(as_filed, mixture, patch.image.shape, np.float32(np.inf))
-        few = shade.ravel()[:: shade.size // TYPICAL_SAMPLES + 1]
-        few = few[few > 0.0]
-        typical = float(np.median(few)) if few.size else 0.0
-        np.minimum(shade, clip * typical, out=shade)
-        cv2.GaussianBlur(shade, (0, 0), blur_px, dst=shade)
+        by_file = filed(mixture, clip=clip, blur_px=blur_px)
+        shade, typical = by_file
         as_seen = typical > 0.0 and patch.typical > 0.0
-        fit = fitted(patch, mixture, clip=clip, blur_px=blur_px) if as_seen else shade
-        return Shown(pose, hits.range_m, per_px, shade, typical, fit)
+        fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade
+        return Shown(pose, hits.range_m, per_px, mixture.window, shade, typical, fit)
 
     def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
         """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
@@ -206,11 +205,12 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         patch: the image around the target.
         shown: the target rendered on the patch's pixels.
     """
-    shade, (R, t) = shown.shade, shown.pose
+    shade, window, (R, t) = shown.shade, shown.window, shown.pose
+    rows, columns = patch.image.shape
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
     sample, merged, count = np.empty(most, np.int64), np.zeros(most, np.bool_), 0
     place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
-    taken = np.zeros((shade.shape[0], shade.shape[1], DIRECTIONS), np.bool_)
+    taken = np.zeros((rows, columns, DIRECTIONS), np.bool_)
     gain = patch.typical / shown.typical if most else 1.0
     least = LEAST_RATIO * patch.least
     faintest = least / gain
@@ -225,7 +225,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
             continue
         at = imaged(x / z, y / z, lens)
         u, v = at.column - patch.column, at.row - patch.row
-        if not (0.0 <= v < shade.shape[0] - 1 and 0.0 <= u < shade.shape[1] - 1):  # also for NaN
+        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also for NaN
             continue
         i, j = int(v), int(u)
         if math.sqrt(x * x + y * y + z * z) > (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j):
@@ -236,7 +236,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if taken[i, j, way]:
             continue
         taken[i, j, way] = True
-        profile = Profile(u, v, across, down)
+        profile = Profile(u - window.column, v - window.row, across, down)
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(shown.fitted, profile, least)
         sample[count] = n

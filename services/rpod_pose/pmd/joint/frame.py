@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import cv2
@@ -170,7 +171,7 @@ class JointFrame:
         """Return the frame with several rays along rows and columns of each of the patch's pixels."""
         return replace(self, rays=_rays_of(self.patch, self.view, FINE_RAYS), per_px=FINE_RAYS)
 
-    @property
+    @cached_property
     def lens(self) -> Lens:
         """The camera, as the kernels take it."""
         camera = self.view.camera

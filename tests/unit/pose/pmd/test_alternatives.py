@@ -19,12 +19,12 @@ from rpod_pose.pmd.joint.alternatives import (
     log_likelihoods,
     start_steps,
 )
-from rpod_pose.pmd.joint.brightness_fit import faces_of, surfaces_of
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.ports import Registration
+from rpod_pose.registration.brightness import faces_of, surfaces_of
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays, step_between
 from rpod_schemas.config.pmd.joint import JointConfig
@@ -68,7 +68,10 @@ def test_edges_of_a_panel_are_merged_where_it_is_thinner_than_the_blur(thick_px:
     renderer, rays = PatchRenderer(panel, TUNING.edges), DepthView.of(CAMERA, 4).rays(2).arrays
     pose = PoseArrays.of(make_pose(translation_m=(0.0, 0.0, away_m)))
     exact = renderer.render(rays, 2, pose, patch)
-    patch = patch._replace(image=exact.shade * np.float32(100.0 / exact.typical))
+    row, column, rows, columns = exact.window
+    image = np.zeros_like(patch.image)
+    image[row : row + rows, column : column + columns] = exact.shade * np.float32(100.0 / exact.typical)
+    patch = patch._replace(image=image)
     shown = renderer.render(rays, 2, pose, patch)
     seen = expect_edges(edges, Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy), patch, shown)
     along = np.abs(edges.directions[seen.sample, 1]) < 0.5

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from rpod_pose.pmd.joint.brightness_fit import adapt, mixed, mixture_of, ratio_of
+from rpod_pose.pmd.joint.brightness_fit import (
+    adapt,
+    clipped,
+    mixed,
+    mixture_of,
+    ratio_of,
+    squares_of,
+)
+from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.rendering import SKY_PX, window_of
 
 ROWS, COLUMNS, TRIANGLES = 9, 11, 6
 
@@ -16,14 +25,15 @@ def test_a_pixel_shows_the_light_of_all_its_rays(per_px: int) -> None:
     light = random.random(TRIANGLES + 1).astype(np.float32)
     part = np.array([0, 0, 1, 2, 2, 3], np.int32)
     mixture = mixture_of(triangle, per_px, light, part)
-    image = mixed(np.ones(4, np.float32), mixture, (ROWS, COLUMNS), np.float32(np.inf))
+    assert mixture.window == (0, 0, ROWS, COLUMNS)
+    image = mixed(np.ones(4, np.float32), mixture, np.float32(np.inf))
     by_ray = np.where(triangle >= 0, light[triangle], 0.0).reshape(ROWS, per_px, COLUMNS, per_px)
     np.testing.assert_allclose(image, by_ray.sum(axis=(1, 3)), rtol=1e-6)
     shown = np.where(triangle >= 0, part[triangle], -1).reshape(ROWS, per_px, COLUMNS, per_px)
     least, most = shown.min(axis=(1, 3)), shown.max(axis=(1, 3))
     np.testing.assert_array_equal(mixture.alone, np.where(least == most, least, -1))
     assert (np.diff(mixture.pixel) >= 0).all()
-    clipped = mixed(np.ones(4, np.float32), mixture, (ROWS, COLUMNS), np.float32(0.5))
+    clipped = mixed(np.ones(4, np.float32), mixture, np.float32(0.5))
     np.testing.assert_array_equal(clipped, np.minimum(image, np.float32(0.5)))
 
 
@@ -32,8 +42,49 @@ def test_a_step_multiplies_a_part_by_its_mean_ratio() -> None:
     light, part = np.array([1.0, 2.0, 0.0], np.float32), np.array([0, 1], np.int32)
     mixture = mixture_of(triangle, 1, light, part)
     image = np.array([[2.0, 4.0, 6.0], [2.0, 3.0, 9.0]], np.float32)
-    rendered = mixed(np.ones(2, np.float32), mixture, image.shape, np.float32(np.inf))
+    rendered = mixed(np.ones(2, np.float32), mixture, np.float32(np.inf))
     ratio = ratio_of(image, np.maximum(rendered, np.float32(1.0)), np.float32(0.0))
     gain = np.ones(2, np.float32)
     adapt(gain, (1.0, 0.0), mixture, np.ones(image.shape, np.float32), ratio)
     np.testing.assert_allclose(gain, (3.0, 2.0))
+
+
+@pytest.mark.parametrize("per_px", [1, 2])
+def test_a_window_holds_the_target_and_the_sky_beside_it(per_px: int) -> None:
+    triangle = np.full((per_px * 60, per_px * 80), -1, np.int32)
+    triangle[per_px * 20 : per_px * 30, per_px * 5 : per_px * 41] = 3
+    window = window_of(triangle, per_px)
+    assert window == (20 - SKY_PX, 0, 10 + 2 * SKY_PX, 41 + SKY_PX)
+    light = np.full(5, 2.0, np.float32)
+    mixture = mixture_of(triangle, per_px, light, np.zeros(4, np.int32))
+    assert mixture.alone.shape == window[2:]
+    assert mixture.pixel.size == 10 * 36
+    shade, typical = clipped(mixture, 4.0)
+    assert typical == 2.0 * per_px**2
+    assert shade.sum() == typical * 10 * 36
+
+
+def test_an_empty_rendering_has_a_window_without_brightness() -> None:
+    mixture = mixture_of(np.full((60, 80), -1, np.int32), 1, np.zeros(2, np.float32), np.zeros(1, np.int32))
+    shade, typical = clipped(mixture, 4.0)
+    assert mixture.pixel.size == 0
+    assert typical == 0.0
+    assert shade.shape == mixture.window[2:]
+    assert not shade.any()
+
+
+def test_the_misfit_counts_the_sky_beyond_the_window_and_leaves_saturated_pixels_out() -> None:
+    random = np.random.default_rng(4)
+    image = random.random((40, 50)).astype(np.float32)
+    triangle = np.full(image.shape, -1, np.int32)
+    triangle[18:22, 20:30] = 0
+    window = window_of(triangle, 1)
+    rendered = random.random(window[2:]).astype(np.float32)
+    whole = np.zeros_like(image)
+    row, column, rows, columns = window
+    whole[row : row + rows, column : column + columns] = rendered
+    saturated = (random.random(image.shape) < 0.1).astype(np.uint8)
+    patch = Patch(image, 0.0, 0.0, 0.3, 0.1, 1.0, saturated)
+    sigma2 = (0.15 * whole) ** 2 + 0.15**2 + 0.1**2
+    each = np.minimum((image - whole) ** 2 / sigma2, 9.0)
+    assert squares_of(patch, rendered, window) == pytest.approx(each[saturated == 0].sum(), rel=1e-5)

@@ -40,7 +40,7 @@ def expected(
     patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0)
     renderer = PatchRenderer(target if hider is None else hider, JointEdgeConfig())
     shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T), patch)
-    assert shown.shade.shape == image.shape
+    assert shown.shade.shape == shown.fitted.shape == shown.window[2:]
     return model, expect_edges(model.arrays, LENS, patch, shown)
 
 
