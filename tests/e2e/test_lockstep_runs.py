@@ -124,7 +124,7 @@ def test_there_is_one_status_for_every_frame_that_is_due(run, due):
 def test_nothing_is_dropped_or_missed(run):
     assert run.summary.estimates.dropped == 0
     assert run.summary.estimates.unscored == 0
-    # Diagnostics follow the wall clock. The log lacks one in a few runs of a hundred (docs/STATUS.md).
+    # Diagnostics follow the wall clock. The log lacks one in a few runs of a hundred (docs/limits.md).
     missed = {name: count.missed for name, count in run.summary.frames.items() if count.missed}
     assert missed.keys() <= {DIAGNOSTICS.name}
     with open_log(run.log) as log:
