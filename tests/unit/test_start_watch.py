@@ -45,7 +45,7 @@ def test_the_time_of_a_process_grows_while_it_works():
                 break
             subprocess.run([sys.executable, "-c", "import time; time.sleep(0.05)"], check=True)
         assert processor_s(busy) - first_s >= 0.2
-        assert processor_s(still) == rests_s
+        assert processor_s(still) - rests_s < 0.1
 
 
 def test_a_process_that_has_ended_has_used_no_time():
