@@ -62,7 +62,9 @@ def places(
             yield within
         return
     found = []
-    for surface in surfaces(image, free, radius_m):
+    separate = surfaces(image, free, radius_m)
+    inside = _inside(image, free, radius_m)
+    for surface in separate:
         some = [
             place
             for place in _of_size(image, points_m, surface, radius_m)
@@ -73,7 +75,32 @@ def places(
         else:
             found += [(np.count_nonzero(place), place) for place in some]
     found.sort(key=lambda entry: -entry[0])
-    yield from (place for _, place in found[:MOST_PLACES])
+    tried: set[bytes] = set()
+    for _, place in found[:MOST_PLACES]:
+        together = _with_others(points_m, inside, place, radius_m)
+        for each in (place,) if together is None else (together, place):
+            if each.tobytes() not in tried:
+                yield each
+            tried.add(each.tobytes())
+
+
+def _with_others(
+    points_m: FloatArray, free: NDArray[np.bool_], place: NDArray[np.bool_], radius_m: float
+) -> NDArray[np.bool_] | None:
+    """Return a place with all that may be the same target: a body with gaps is seen as several surfaces.
+
+    None if nothing else is as near as that, or if the place itself reaches beyond the given rays.
+
+    Args:
+        points_m: measured points, sensor axes, shape (rows, columns, 3).
+        free: rays that may show the target, shape (rows, columns).
+        place: rays on a surface, shape (rows, columns).
+        radius_m: radius of the target's bounding sphere.
+    """
+    middle_m = np.median(points_m[place], axis=0)
+    together = free & (np.linalg.norm(points_m - middle_m, axis=-1) < BALL * radius_m)
+    more = np.count_nonzero(together) - np.count_nonzero(place)
+    return together if more >= LEAST_RAYS and not (place & ~free).any() else None
 
 
 def _large_planes(image: RangeImage, points_m: FloatArray, radius_m: float) -> NDArray[np.bool_]:
@@ -126,6 +153,25 @@ def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) 
 
 def surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
     """Return the connected surfaces among some rays, shape (rows, columns) each."""
+    number, sizes = _numbered(image, free, radius_m)
+    return [(number == n) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
+
+
+def _inside(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> NDArray[np.bool_]:
+    """Return the rays on surfaces that do not reach the image's border, shape (rows, columns).
+
+    A ray alone is no surface: its range is stray.
+    """
+    number, sizes = _numbered(image, free, radius_m)
+    cut = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1]])
+    inside: NDArray[np.bool_] = free & (sizes[number] > 1) & ~np.isin(number, cut)
+    return inside
+
+
+def _numbered(
+    image: RangeImage, free: NDArray[np.bool_], radius_m: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the number of each ray's surface, (rows, columns), and the rays on each, (N,)."""
     range_m, index = image.range_m, np.arange(free.size).reshape(free.shape)
     pairs = []
     for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -138,7 +184,7 @@ def surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> lis
     graph = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(free.size, free.size))
     count, number = connected_components(graph, directed=False)
     sizes = np.bincount(number[free.ravel()], minlength=count)
-    return [(number == n).reshape(free.shape) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
+    return np.asarray(number, np.intp).reshape(free.shape), sizes
 
 
 def _of_size(

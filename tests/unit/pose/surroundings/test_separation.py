@@ -62,3 +62,17 @@ def test_a_surface_that_the_border_cuts_is_searched_without_its_limb_first_and_t
     assert not without[0].any()
     assert np.count_nonzero(without) > 0.7 * np.count_nonzero(seen())
     assert len(list(places(RangeImage(GRID, beside(seen(), 3)), TARGET.radius_m))) == 1
+
+
+def test_surfaces_that_together_have_the_targets_size_are_searched_as_one_without_stray_ranges():
+    """A body with a gap in range, such as a panel before it, is seen as two surfaces."""
+    range_m = seen()
+    rows, columns = np.nonzero(range_m)
+    upper = rows < np.median(rows)
+    range_m[rows[upper], columns[upper]] -= np.float32(0.6 * TARGET.radius_m)
+    whole = range_m > 0.0
+    range_m[2, 3] = range_m[rows.max(), columns[rows.argmax()]]
+    first, *others = places(RangeImage(GRID, range_m), TARGET.radius_m)
+    np.testing.assert_array_equal(first, whole)
+    assert len(others) == 2
+    np.testing.assert_array_equal(others[0] | others[1], whole)
