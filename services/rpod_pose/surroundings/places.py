@@ -62,9 +62,9 @@ def places(
             yield within
         return
     found = []
-    separate = surfaces(image, free, radius_m)
-    inside = _inside(image, free, radius_m)
-    for surface in separate:
+    number, sizes = _numbered(image, free, radius_m)
+    inside = _inside(number, sizes, free)
+    for surface in _surfaces(number, sizes, free):
         some = [
             place
             for place in _of_size(image, points_m, surface, radius_m)
@@ -153,16 +153,21 @@ def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) 
 
 def surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
     """Return the connected surfaces among some rays, shape (rows, columns) each."""
-    number, sizes = _numbered(image, free, radius_m)
+    return _surfaces(*_numbered(image, free, radius_m), free)
+
+
+def _surfaces(
+    number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.bool_]
+) -> list[NDArray[np.bool_]]:
+    """Return ``surfaces`` of numbered rays; arguments as ``_numbered`` returns them, and the free rays."""
     return [(number == n) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
 
 
-def _inside(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> NDArray[np.bool_]:
+def _inside(number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the rays on surfaces that do not reach the image's border, shape (rows, columns).
 
-    A ray alone is no surface: its range is stray.
+    A ray alone is no surface: its range is stray. Arguments are as for ``_surfaces``.
     """
-    number, sizes = _numbered(image, free, radius_m)
     cut = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1]])
     inside: NDArray[np.bool_] = free & (sizes[number] > 1) & ~np.isin(number, cut)
     return inside
