@@ -25,7 +25,9 @@ class Applied(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
+class Step:
+    """A measurement as the filter took it."""
+
     measurement: PoseMeasurement
     predicted: FilterState
     """Prediction that the measurement met."""
@@ -38,7 +40,7 @@ class History:
 
     origin: FilterState
     """Oldest state: the filter's start, or the last state before ``steps``."""
-    steps: tuple[_Step, ...] = ()
+    steps: tuple[Step, ...] = ()
     """Measurements since then, in the order of the stamps; equal stamps in the order of arrival."""
 
     @property
@@ -65,13 +67,11 @@ class History:
         """Return the index after the last step up to a stamp, equal stamps included."""
         return bisect_right(self.steps, stamp_ns, key=lambda step: step.measurement.stamp_ns)
 
-    def applied_at(self, stamp_ns: int) -> "tuple[FilterState, PoseMeasurement] | None":
-        """Return the newest measurement of a stamp and the prediction that it met; None if there is none."""
+    def applied_at(self, stamp_ns: int) -> Step | None:
+        """Return the step with the newest measurement of a stamp; None if there is none."""
         place = self.place(stamp_ns)
-        if not place or self.steps[place - 1].measurement.stamp_ns != stamp_ns:
-            return None
-        step = self.steps[place - 1]
-        return step.predicted, step.measurement
+        step = self.steps[place - 1] if place else None
+        return step if step and step.measurement.stamp_ns == stamp_ns else None
 
     def pruned(self, config: FilterConfig) -> "History":
         """Return this history without the steps that are too old for any late measurement."""
@@ -106,7 +106,7 @@ def apply(
 
 def _applied(
     measurement: PoseMeasurement, before: FilterState, predicted: FilterState, config: FilterConfig
-) -> _Step:
+) -> Step:
     """Return the step with a measurement, with larger accelerations if it needs them and proves them."""
     outcome = updated(predicted, measurement, config)
     if measurement.alone and not is_expected(outcome, predicted):
@@ -118,4 +118,4 @@ def _applied(
                 predicted, outcome = raised, again
     if outcome.accepted:
         outcome = outcome._replace(state=calmed(outcome.state))
-    return _Step(measurement, predicted, outcome)
+    return Step(measurement, predicted, outcome)

@@ -34,6 +34,8 @@ class Update(NamedTuple):
     nis: float
     """Normalised innovation squared; NaN if the measurement is not finite."""
     accepted: bool
+    innovation: "Innovation"
+    """Innovation that the gate has judged."""
 
 
 class Innovation(NamedTuple):
@@ -133,11 +135,11 @@ def update(
     )
     innovation, S, noise, H, cross = found
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
-        return Update(state, float("nan"), accepted=False)
+        return Update(state, float("nan"), accepted=False, innovation=found)
 
     nis = float(innovation @ np.linalg.solve(S, innovation))
     if not 0.0 <= nis <= gate_nis(state, config):  # negative: the covariance is not positive definite
-        return Update(state, nis, accepted=False)
+        return Update(state, nis, accepted=False, innovation=found)
 
     gain = np.linalg.solve(S, cross).T
     for block, place in placed(state.blocks, MOTION.stop):
@@ -149,7 +151,7 @@ def update(
     keep = np.eye(state.size) - gain @ H
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
     corrected = replace(state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T))
-    return Update(unturned(corrected, config), nis, accepted=True)
+    return Update(unturned(corrected, config), nis, accepted=True, innovation=found)
 
 
 def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) -> bool:

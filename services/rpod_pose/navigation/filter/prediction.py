@@ -30,6 +30,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
+_ONE = np.eye(3)
+
 
 class StampOrderError(PoseError):
     """The prediction would go back in time."""
@@ -74,23 +76,31 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
     Both are random walks. With phi = w dt the error propagates, to first order in itself and exactly in phi,
     as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left Jacobian of SO(3)). The origin's rotation
     about the centre of mass, at R r from it, is kinematics, not noise: the state is transformed to the centre
-    by p + R r and v + w x R r, propagated, and transformed back.
+    by p + R r and v + w x R r, propagated, and transformed back. With a = [R r]x before and b = [R r]x after
+    the step, errors at the centre are 1 + N(a) times those at the origin, where N(a) has -a for (dp by
+    dtheta) and (dv by dw), and -[w]x a for (dv by dtheta). F is (1 - N(b)) A (1 + N(a)), block by block; A
+    propagates errors at the centre.
     """
     spin, R = cross_matrix(state.rate_rad_s), rotation_matrix(state.T_chaser_target)
     phi = state.rate_rad_s * step_s
-    turn = exponential(phi)
+    turn, slope = exponential(phi), step_s * left_jacobian(phi)
     arm_m = R @ state.centre_of_mass_m
     arm_after_m = turn @ arm_m
     centre_m_s = state.velocity_m_s + spin @ arm_m
 
     turned_rad = turn_of_view_rad(state, step_s)
     F, Q = of_blocks(state, step_s, turned_rad)
-    about_centre = np.eye(12)
-    about_centre[POSITION, VELOCITY] = step_s * np.eye(3)
-    about_centre[ATTITUDE, ATTITUDE] = turn
-    about_centre[ATTITUDE, RATE] = step_s * left_jacobian(phi)
-    from_centre = np.eye(12) - _swing(arm_after_m, spin)
-    F[MOTION, MOTION] = from_centre @ (about_centre + about_centre @ _swing(arm_m, spin))
+    arm, arm_after = cross_matrix(arm_m), cross_matrix(arm_after_m)
+    swing, swing_after = spin @ arm, spin @ arm_after
+    F[POSITION, ATTITUDE] = arm_after @ turn - arm - step_s * swing
+    F[POSITION, VELOCITY] = step_s * _ONE
+    F[POSITION, RATE] = arm_after @ slope - step_s * arm
+    F[ATTITUDE, ATTITUDE], F[ATTITUDE, RATE] = turn, slope
+    F[VELOCITY, ATTITUDE] = swing_after @ turn - swing
+    F[VELOCITY, RATE] = swing_after @ slope + arm_after - arm
+    from_centre = np.eye(12)
+    from_centre[POSITION, ATTITUDE] = from_centre[VELOCITY, RATE] = arm_after
+    from_centre[VELOCITY, ATTITUDE] = swing_after
     noise = process_noise(
         step_s, config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3
     )
@@ -134,21 +144,9 @@ def turn_of_view_rad(state: FilterState, step_s: float) -> float:
     return hypot(*across, (x * u + y * v + z * w) / squared) * step_s
 
 
-def _swing(arm_m: FloatArray, spin: FloatArray) -> FloatArray:
-    """Return N, shape (12, 12): errors at the end of an arm on the target are 1 + N times those here.
-
-    From p + a and v + w x a with da = dtheta x a, where ``spin`` is [w]x. N N = 0, so the way back is 1 - N.
-    """
-    cross = cross_matrix(arm_m)
-    N = np.zeros((12, 12))
-    N[POSITION, ATTITUDE] = N[VELOCITY, RATE] = -cross
-    N[VELOCITY, ATTITUDE] = -spin @ cross
-    return N
-
-
 def process_noise(step_s: float, acceleration_m2_s3: float, angular_rad2_s3: float) -> FloatArray:
     """Return the noise that white accelerations of two densities cause in a step, shape (12, 12)."""
-    density = np.repeat((acceleration_m2_s3, angular_rad2_s3), 3)
+    density = np.array([acceleration_m2_s3] * 3 + [angular_rad2_s3] * 3)
     Q, pose, twist = np.zeros((12, 12)), np.arange(6), np.arange(6, 12)
     Q[pose, pose] = step_s**3 / 3.0 * density
     Q[pose, twist] = Q[twist, pose] = step_s**2 / 2.0 * density

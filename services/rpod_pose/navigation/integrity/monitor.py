@@ -122,13 +122,13 @@ class Monitor:
                 status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
             )
             memory = replace(memory, sensor=status.sensor, inside=inside)
-        compared = None
+        step = None
         if state.history is not None and np.isfinite(status.nis):
-            compared = state.history.applied_at(status.stamp_ns)
-        if compared is None:
+            step = state.history.applied_at(status.stamp_ns)
+        if step is None:
             return memory
-        predicted, measured = compared
-        residual = residual_of(predicted, measured, self._filter)
+        predicted, measured = step.predicted, step.measurement
+        residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
         if residual is not None:
             found = (*memory.residuals.get(status.sensor, ()), residual)
             residuals = {**memory.residuals, status.sensor: found}

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.filter import FilterState, Innovation
 from rpod_pose.navigation.integrity.levels import chi2_limit
-from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.estimator.filter import FilterConfig
 
 _EXPLAINED = 0.5
 """Share of a bias from which on a clock is named as its cause. Hand: more than all other causes together."""
@@ -56,9 +54,8 @@ class Statistic:
         return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"
 
 
-def residual_of(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Residual | None:
+def residual_of(predicted: FilterState, found: Innovation, stamp_ns: int) -> Residual | None:
     """Return the residual of a measurement against the prediction to its stamp; None if it is not finite."""
-    found = compared(predicted, measured, config)
     y, S = found.difference, found.covariance
     if not (np.isfinite(y).all() and np.isfinite(S).all()):
         return None
@@ -68,7 +65,7 @@ def residual_of(predicted: FilterState, measured: PoseMeasurement, config: Filte
         return None
     twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
     white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist])).astype(np.float64)
-    return Residual(measured.stamp_ns, white[:, 0], white[:, 1])
+    return Residual(stamp_ns, white[:, 0], white[:, 1])
 
 
 def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tuple[Residual, ...]:

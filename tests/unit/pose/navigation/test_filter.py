@@ -116,7 +116,7 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(step_s: float, c
         for frame in range(1, steps + 1):
             truth = moved(truth, step_s, PLAIN, rng, centre_m)
             state = predict(state, round(frame * step_s * SECOND_NS), PLAIN)
-            state, innovation, _ = update(state, measured(truth, COVARIANCE, rng), COVARIANCE, config=PLAIN)
+            state, innovation, *_ = update(state, measured(truth, COVARIANCE, rng), COVARIANCE, config=PLAIN)
             nis.append(innovation)
         error = error_of(state, truth)
         nees.append(error @ np.linalg.solve(state.covariance, error))
@@ -168,7 +168,7 @@ def test_the_twist_of_a_spinning_target_is_found() -> None:
     for frame in range(1, 76):
         truth = Truth(pose_at(frame / 15.0), velocity_m_s, np.zeros(3))
         state = predict(state, round(frame / 15.0 * SECOND_NS), config)
-        state, _, accepted = update(
+        state, _, accepted, _ = update(
             state, measured(truth, np.diag(sigma**2), rng), np.diag(sigma**2), config=config
         )
         assert accepted
@@ -263,7 +263,7 @@ def test_a_large_step_is_followed_where_the_prediction_is_not_trusted(
         state.stamp_ns, state.T_chaser_target, state.velocity_m_s, state.rate_rad_s, np.eye(12) * 1e4
     )
     pose = turned(np.array(step_rad), np.array(shift_m), state.T_chaser_target)
-    followed, _, accepted = update(vague, pose, COVARIANCE, config=FilterConfig())
+    followed, _, accepted, _ = update(vague, pose, COVARIANCE, config=FilterConfig())
     assert accepted
     turn = followed.T_chaser_target.rotation.inv() * pose.rotation
     assert turn.magnitude() < 1e-5
@@ -395,7 +395,7 @@ def test_the_angle_about_a_free_axis_is_neither_measured_nor_turned(step_s: floa
             state = predict(state, round(frame * step_s * SECOND_NS), PLAIN)
             about = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * axis)
             seen = measured(truth, COVARIANCE, rng) * RigidTransform.from_rotation(about)
-            state, innovation, accepted = update(state, seen, COVARIANCE, config=PLAIN)
+            state, innovation, accepted, _ = update(state, seen, COVARIANCE, config=PLAIN)
             assert accepted
             nis.append(innovation)
             turn = before.rotation.inv() * state.T_chaser_target.rotation
@@ -431,7 +431,7 @@ def test_of_a_sphere_the_position_alone_is_estimated() -> None:
     for frame in range(1, 11):
         state = predict(state, frame * SECOND_NS, PLAIN)
         seen = make_pose(rotation=Rotation.random(rng=rng), translation_m=[0.0, 0.1 * frame, 5.0])
-        state, nis, accepted = update(state, seen, COVARIANCE, config=PLAIN)
+        state, nis, accepted, _ = update(state, seen, COVARIANCE, config=PLAIN)
         assert accepted, nis
     odometry = to_odometry(state, frame_id="chaser", child_frame_id="target_estimate")
     assert odometry.pose.translation == pytest.approx([0.0, 1.0, 5.0], abs=0.05)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_pose.navigation.filter import POSE, start
+from rpod_pose.navigation.filter import POSE, innovation_of, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.inside import Inside
 from rpod_pose.navigation.integrity.levels import (
@@ -197,7 +197,8 @@ def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
         pose = truth(-0.5)  # half a second late
         shift_m = SIGMA_M * noise.standard_normal(3)
         pose = make_pose(rotation=pose.rotation, translation_m=pose.translation + shift_m)
-        found.append(residual_of(state, PoseMeasurement(START_NS + k * SECOND_NS, pose, COVARIANCE), CONFIG))
+        innovation = innovation_of(state, pose, COVARIANCE, config=CONFIG)
+        found.append(residual_of(state, innovation, START_NS + k * SECOND_NS))
     (size, mean), evidence = residual_tests("pmd", found, dof=6, correlated_s=1.0)
     assert mean.fails(1e-6)
     assert evidence["pmd_stamps_late_s"] == pytest.approx(0.5, abs=0.05)
@@ -207,9 +208,8 @@ def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
 
 def test_frames_of_one_second_count_as_one_in_the_tests():
     state = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
-    frames = [
-        residual_of(state, PoseMeasurement(START_NS + k, truth(0.0), COVARIANCE), CONFIG) for k in range(45)
-    ]
+    innovation = innovation_of(state, truth(0.0), COVARIANCE, config=CONFIG)
+    frames = [residual_of(state, innovation, START_NS + k) for k in range(45)]
     (size, _), _ = residual_tests("pmd", frames, dof=6, correlated_s=1.0)
     assert size.dof == pytest.approx(6.0, rel=1e-6)
 
