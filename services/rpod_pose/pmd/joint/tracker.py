@@ -56,6 +56,9 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
+LEADS_PX = 0.1
+"""Motion in the image from which on steps lead away from a pose. Physics: a tenth of a pixel is the least
+error of an edge."""
 SAME_PX = 0.25
 """Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
 an edge, and rays half a pixel apart resolve a quarter at best."""
@@ -237,14 +240,18 @@ class JointTracker:
     def _aligned(self, seen: JointFrame, sights: Sights, state: State, schedule: FloatArray) -> Aligned:
         """Return the likelier one of the alignments with and without edges that merge with others.
 
-        The schedule has the shape (S, 2) as in ``JointProblem``, and each row is one step.
+        The second one is made if its last steps lead away from the end of the first. The schedule has the
+        shape (S, 2) as in ``JointProblem``, and each row is one step.
         """
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         found = self._aligned_by(seen, sights, state, schedule, self._edge_errors)
         if not found.last.sight.expected.merged.any():
             return found
-        apart = self._edge_errors._replace(merged=False)
-        other = self._aligned_by(seen, sights, state, schedule, apart)
+        apart = found.last._replace(edge_errors=found.last.edge_errors._replace(merged=False))
+        poses = found.fit.state.pose, align(apart, found.fit.state).state.pose
+        if moved_px(*poses, self._target.radius_m, seen.lens.fx) < LEADS_PX:
+            return found
+        other = self._aligned_by(seen, sights, state, schedule, self._edge_errors._replace(merged=False))
         poses = found.fit.state.pose, other.fit.state.pose
         if moved_px(*poses, self._target.radius_m, seen.lens.fx) < SAME_PX:
             return found
