@@ -1,11 +1,14 @@
 """A measurement between the sensor's axes and times, and those of the filter."""
 
+from math import inf
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
+from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.ports import Deskew, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, rotation_matrix
@@ -30,12 +33,21 @@ def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew
     return deskewed
 
 
-def as_measured(registration: Registration, event: Measurement) -> PoseMeasurement:
-    """Return the pose of a registration in the chaser's axes, at the frame's stamp."""
+def as_measured(
+    registration: Registration, event: Measurement, stream: Stream | None = None
+) -> PoseMeasurement:
+    """Return the pose of a registration in the chaser's axes, at the frame's stamp.
+
+    Args:
+        registration: a registration with a pose.
+        event: the frame.
+        stream: frames of its sensor before; None where their errors do not matter.
+    """
     return PoseMeasurement(
         event.stamp_ns,
         *in_chaser(registration, event.T_chaser_sensor),
         Origin(event.sensor, event.T_chaser_sensor, registration.parts),
+        since_s=inf if stream is None else stream.since_s(event.stamp_ns),
         lasting_s=event.data.lasting_s,
     )
 

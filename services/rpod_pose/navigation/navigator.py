@@ -327,7 +327,7 @@ class Navigator:
             return self._reject(state, event, registration, reason=reason)
         accepted = registration.belief.level is BeliefLevel.ACCEPTED
         proven = tracked and registration.begins_track and accepted
-        measured = replace(as_measured(registration, event), alone=proven)
+        measured = replace(as_measured(registration, event, state.streams.get(event.sensor)), alone=proven)
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
             if proven:

@@ -73,7 +73,7 @@ class ParallelTracks:
                 seen.append((frame, registration))
         if not left:
             return None
-        share = rivals.share_of_frame(event.stamp_ns, self._config.correlation_inflation)
+        share = rivals.share_of_frame(event.stamp_ns, self._config.inflation())
         logs = share * _likelihoods(methods, *zip(*seen, strict=True))
         weighed = [
             replace(rival, log_evidence=rival.log_evidence + log)

@@ -72,6 +72,8 @@ class PoseMeasurement:
     alone: bool = False
     """Whether its frame proves it without the prediction: where the gate refuses it, larger accelerations are
     tried (``dynamics/manoeuvre``)."""
+    since_s: float = inf
+    """Time since the accepted frame of the same sensor before it, s: errors of near frames are alike."""
     lasting_s: float = 0.0
     """RMS time of its returns from the stamp. The pose is off by about the error of the twist that de-skewed
     them, times this."""
@@ -138,6 +140,7 @@ def _applied(
         config=config,
         sensitivities=shared.sensitivities,
         white=shared.white,
+        since_s=measured.since_s,
     )
 
 

@@ -77,7 +77,7 @@ class Rivals(NamedTuple):
 
         Args:
             stamp_ns: stamp of the frame.
-            inflation: ``FilterConfig.correlation_inflation``.
+            inflation: factor by which a frame counts less, as in the filter (``FilterConfig.inflation``).
         """
         return min(1.0 / inflation, max(stamp_ns - self.newest_ns, 0) * 1e-9 / CORRELATED_S)
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from math import inf
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -61,9 +62,10 @@ def innovation_of(
     config: FilterConfig,
     sensitivities: Sensitivities = NOTHING,
     white: bool = False,
+    since_s: float = inf,
 ) -> Innovation:
     """Return the innovation of a measured pose at the state's stamp; arguments as for ``update``."""
-    noise = covariance if white else measurement_noise(covariance, config)
+    noise = covariance if white else measurement_noise(covariance, config, since_s)
     R = rotation_matrix(T_chaser_target)
     # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
     noise = state.alike.with_free_variance(noise, R, 1.0)
@@ -114,6 +116,7 @@ def update(
     config: FilterConfig,
     sensitivities: Sensitivities = NOTHING,
     white: bool = False,
+    since_s: float = inf,
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
@@ -129,9 +132,16 @@ def update(
         config: noise floor, inflation and gate.
         sensitivities: how the measured pose depends on the states of blocks.
         white: whether the covariance is that of the frame's own noise alone: without floors and inflation.
+        since_s: time since the sensor's frame before it, s, on which the inflation depends.
     """
     found = innovation_of(
-        state, T_chaser_target, covariance, config=config, sensitivities=sensitivities, white=white
+        state,
+        T_chaser_target,
+        covariance,
+        config=config,
+        sensitivities=sensitivities,
+        white=white,
+        since_s=since_s,
     )
     innovation, S, noise, H, cross = found
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
@@ -172,10 +182,10 @@ def gate_nis(state: FilterState, config: FilterConfig) -> float:
     return _gate(config.tuning.gate_nis, state.alike.dof)
 
 
-def measurement_noise(covariance: FloatArray, config: FilterConfig) -> FloatArray:
+def measurement_noise(covariance: FloatArray, config: FilterConfig, since_s: float = inf) -> FloatArray:
     """Return the covariance of a measured pose with the floors and the inflation, shape (6, 6)."""
     floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
-    return config.correlation_inflation * (covariance + np.diag(floor))
+    return config.inflation(since_s) * (covariance + np.diag(floor))
 
 
 def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:

@@ -30,8 +30,6 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import pose_of, rotation_matrix
 
-_ONE = np.eye(3)
-
 
 class StampOrderError(PoseError):
     """The prediction would go back in time."""
@@ -93,7 +91,7 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
     arm, arm_after = cross_matrix(arm_m), cross_matrix(arm_after_m)
     swing, swing_after = spin @ arm, spin @ arm_after
     F[POSITION, ATTITUDE] = arm_after @ turn - arm - step_s * swing
-    F[POSITION, VELOCITY] = step_s * _ONE
+    F[POSITION, VELOCITY] = step_s * np.eye(3)
     F[POSITION, RATE] = arm_after @ slope - step_s * arm
     F[ATTITUDE, ATTITUDE], F[ATTITUDE, RATE] = turn, slope
     F[VELOCITY, ATTITUDE] = swing_after @ turn - swing

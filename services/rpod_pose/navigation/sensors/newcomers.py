@@ -68,7 +68,7 @@ class Newcomers:
         )
         if reason:
             return state, self._output(state, event, registration, reason=reason)
-        measured = as_measured(registration, event)
+        measured = as_measured(registration, event, state.streams.get(event.sensor))
         grown, nis, accepted = apply(separation.including, measured, self._config, predicted)
         if not accepted:
             state = state if separation.joined else replace(state, separation=None)

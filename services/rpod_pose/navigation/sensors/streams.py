@@ -26,6 +26,10 @@ class Stream:
     accepted_ns: int | None = None
     """Newest stamp of a frame that the present track has accepted; None if there is none."""
 
+    def since_s(self, stamp_ns: int) -> float:
+        """Return the time between a stamp and the newest accepted frame, s; infinite if there is none."""
+        return inf if self.accepted_ns is None else abs(stamp_ns - self.accepted_ns) / NANOSECONDS
+
     def is_silent(self, stamp_ns: int, unknown_s: float) -> bool:
         """Return whether no frame has come at a stamp although one was due; ``unknown_s`` as for a track."""
         if self.heard_ns is None:

@@ -165,6 +165,16 @@ def test_tracking_publishes_the_filtered_pose_at_each_frame():
     np.testing.assert_allclose(output.odometry.linear_m_s, [0.0, 0.0, -0.1], atol=0.03)
 
 
+@pytest.mark.parametrize(("rate_hz", "factor"), [(10, 2.0), (45, 6.0), (90, 12.0)])
+def test_frames_that_follow_closely_count_as_much_as_the_time_that_they_span(rate_hz, factor):
+    fixed = FilterConfig(correlation_inflation=factor)
+    by_rate, by_factor = tracking(START_S + 1.0), tracking(START_S + 1.0, filter_config=fixed)
+    for frame in range(1, rate_hz + 1):
+        view = good(START_S + 1.0 + frame / rate_hz)
+        seen = [made.see(view).odometry.pose_covariance for made in (by_rate, by_factor)]
+    np.testing.assert_allclose(*map(np.diag, seen), rtol=0.05)
+
+
 @pytest.mark.parametrize("view", [blind, wrong], ids=["not believed", "gated"])
 def test_where_a_measurement_is_rejected_the_prediction_is_published_with_the_reason(view):
     made = tracking(START_S + 5.0)
