@@ -54,7 +54,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             return live.of(methods, setups)
 
         # in lockstep, results must not depend on the machine's speed
-        estimator = Estimator(config, target, open_searches if config.time_source == "wall" else None)
+        estimator = Estimator(config, target, None if config.in_lockstep else open_searches)
         live.await_workers(stop)
         _serve(config, estimator, live, target, version=version, stop=stop)
 
@@ -85,7 +85,7 @@ def _serve(
                 if arrived is not None:
                     for each in readings:
                         each.take_until(arrived.stamp_ns)
-                    if config.time_source == "clock":
+                    if config.in_lockstep:
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
                     service.process(arrived)

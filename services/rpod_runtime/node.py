@@ -77,7 +77,7 @@ class Node(Asker):
         self.target_content: str | None = None
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
-        self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self.clock: Clock = BusClock() if config.in_lockstep else WallClock()
         self.link = Link(self.health, config.bus.connect)
         self._identity = open_identity(config)
         self._keys = config.bus.keys
@@ -116,7 +116,7 @@ class Node(Asker):
             reloader.on_change(self._take_configuration)
         if self.config.bus.ros_services:
             self.parameters = self._ros.serve_parameters(
-                logged(self.config), use_sim_time=self.config.time_source == "clock"
+                logged(self.config), use_sim_time=self.config.in_lockstep
             )
         if isinstance(self.clock, BusClock):
             self.subscribe(CLOCK, partial(self._take_clock, self.clock), recover=True)

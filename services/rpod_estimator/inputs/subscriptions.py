@@ -53,7 +53,7 @@ class Subscriptions:
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
-        self._in_lockstep = config.time_source == "clock"
+        self._in_lockstep = config.in_lockstep
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
@@ -62,7 +62,7 @@ class Subscriptions:
         self._ended = False
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
-        silence_s = LOCKSTEP_SILENCE_S if config.time_source == "clock" else WINDOW_S
+        silence_s = LOCKSTEP_SILENCE_S if config.in_lockstep else WINDOW_S
         self.health = InputHealth(
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
