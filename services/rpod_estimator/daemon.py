@@ -120,7 +120,7 @@ class _Service:
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
         self._subscriptions.request_reset(request)
-        self._searches.end_rests()
+        self._searches.end_pauses()
         return self._estimator.request_reset(request)
 
     def process(self, arrived: Arrived) -> None:
@@ -130,7 +130,7 @@ class _Service:
         self._subscriptions.health.judge(arrived, output, time.monotonic())
         self._subscriptions.health.rest(self._searches.pause_s)
         if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
-            self._searches.end_rests()
+            self._searches.end_pauses()
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""

@@ -144,7 +144,7 @@ class PublisherEnds:
     def _is_final(self, departure: Departure, now_s: float) -> bool:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
         awake_s = self._awake.at(now_s)
-        if self._left_with_link(departure):
+        if self._lost_with_link(departure):
             return not self._link.lost and awake_s - self._regained[1] > RETURN_S
         return awake_s - departure.awake_s > GRACE_S
 
@@ -153,7 +153,7 @@ class PublisherEnds:
             if outage.end_ns is not None and outage.end_ns != self._regained[0]:
                 self._regained = outage.end_ns, awake_s
 
-    def _left_with_link(self, departure: Departure) -> bool:
+    def _lost_with_link(self, departure: Departure) -> bool:
         """Return whether a publisher has gone because the link was lost."""
         return any(
             abs(departure.stamp_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages()
@@ -174,7 +174,7 @@ class PublisherEnds:
         """Return whether a process may still report its numbers, or its missing messages arrive."""
         if process.departed is not None:
             # a service that was lost with the link may be away for long
-            return not self._left_with_link(process.departed)
+            return not self._lost_with_link(process.departed)
         return process.is_running_service and (process.is_silent(since_s) or bool(process.missing()))
 
     def conclude(self, since_s: float) -> None:

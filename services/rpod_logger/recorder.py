@@ -206,7 +206,7 @@ class Recorder:
         self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
             self._written[received.topic.name] += 1
-            self._tend()
+            self._close_or_split()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
 
@@ -231,13 +231,13 @@ class Recorder:
 
     def _sync(self) -> None:
         if self._attempt(lambda recording: recording.file.sync()):
-            self._tend()
+            self._close_or_split()
         if self._recording is not None and self._recording.file.vanished:
             self._end_early(
                 self._recording, OSError(errno.ENOENT, "the file has vanished from its directory")
             )
 
-    def _tend(self) -> None:
+    def _close_or_split(self) -> None:
         """Close the file if the disk is full, or split it if it is large or old enough."""
         recording, config = self._recording, self._config
         if recording is None:

@@ -76,7 +76,7 @@ class HealthBook:
         with self._lock:
             return self._rejections.get(topic, "")
 
-    def obey(self, verb: str, request: str, asker: str = "") -> None:
+    def note_command(self, verb: str, request: str, asker: str = "") -> None:
         """Count an accepted command and keep its text, so that a log shows which commands were given.
 
         ``asker`` is the name of who gave it, if certificates tell.

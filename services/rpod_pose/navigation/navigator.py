@@ -195,7 +195,7 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         told = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=told)
-        return output.noting(BEGUN, 1.0)
+        return output.with_evidence(BEGUN, 1.0)
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
         """Return an output that says whether its covariance makes it unusable."""
@@ -213,7 +213,7 @@ class Navigator:
         state = state.searching(replace(search, waited=1))
         reason = search.reason if search.registration else ""
         output = self._output(state, search.event, search.registration, reason=reason, search=SEARCHED)
-        return state, output.noting(BEGUN, 1.0)
+        return state, output.with_evidence(BEGUN, 1.0)
 
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Take the result of a search, at the stamp of the searched frame."""
@@ -280,7 +280,7 @@ class Navigator:
             frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
             reason = rivals.reason(self._alike)
             return self._ask(state, Search(event, frame, registration=registration, reason=reason))
-        return self._found.undecided(state, rivals, event, registration)
+        return self._found.keep_rivals(state, rivals, event, registration)
 
     # --- VERIFYING and TRACKING ---
 

@@ -13,7 +13,7 @@ from scipy.special import gammainc, gammaincinv
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
-from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, unturned
+from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, with_free_axes_unobserved
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix, rotation_of
@@ -149,7 +149,7 @@ def update(
     keep = np.eye(state.size) - gain @ H
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
     corrected = replace(state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T))
-    return Update(unturned(corrected, config), nis, accepted=True)
+    return Update(with_free_axes_unobserved(corrected, config), nis, accepted=True)
 
 
 def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) -> bool:

@@ -9,7 +9,15 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, observable
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
-from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
+from rpod_pose.navigation.filter.state import (
+    MOTION,
+    POSE,
+    RATE,
+    VELOCITY,
+    FilterState,
+    MotionModel,
+    with_free_axes_unobserved,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
@@ -71,7 +79,7 @@ def start(
         blocks=tuple(blocks),
         model=model,
     )
-    return unturned(state, config)
+    return with_free_axes_unobserved(state, config)
 
 
 def _with_blocks(covariance: FloatArray, blocks: Sequence[Block], sensitivities: Sensitivities) -> FloatArray:

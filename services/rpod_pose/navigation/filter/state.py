@@ -105,7 +105,7 @@ class FilterState:
         )
 
 
-def unturned(state: FilterState, config: FilterConfig) -> FilterState:
+def with_free_axes_unobserved(state: FilterState, config: FilterConfig) -> FilterState:
     """Return a state with no error of the angles about free axes, and with unknown rates about them."""
     if not len(state.alike.free_axes):
         return state
