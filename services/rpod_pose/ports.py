@@ -258,7 +258,7 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
 @runtime_checkable
 class ComparingTracker(Tracker[MeasurementT_contra], Protocol[MeasurementT_contra]):
-    """A tracker that tells which of several poses explains a frame best."""
+    """A tracker that compares how well several poses explain a frame."""
 
     def log_likelihoods(self, measurement: MeasurementT_contra, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of one frame at poses registered in it, shape (N,), up to a constant."""

@@ -142,7 +142,7 @@ def find_errors(
         truth: true T_chaser_target.
         covariance: covariances of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros if unknown.
         R_chaser_sensor: attitudes of the sensors whose frames gave the estimates, N rotations.
-        alike: attitudes of the target that no measurement tells apart: errors are those against the
+        alike: attitudes of the target that no measurement distinguishes: errors are those against the
             nearest of them.
     """
     T_truth, known = interpolate(truth, estimates.stamp_ns)

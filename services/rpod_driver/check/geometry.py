@@ -116,7 +116,7 @@ def _other_time(results: list[CheckResult]) -> str:
 
 
 def _supersedes(new: CheckResult, old: CheckResult) -> bool:
-    """Return whether truth tells more: the old result is unchecked, or only the new one is a failure."""
+    """Return whether a result with truth replaces the old one: it was unchecked, or only the new fails."""
     return old.level is Level.UNCHECKED or (new.level is Level.FAIL and old.level is not Level.FAIL)
 
 

@@ -85,7 +85,7 @@ class Offer(NamedTuple):
 
 @dataclass(frozen=True)
 class Options:
-    """Facts about a sensor that its messages do not tell."""
+    """Facts about a sensor that its messages do not contain."""
 
     rate_hz: float | None = None
     """Nominal rate."""

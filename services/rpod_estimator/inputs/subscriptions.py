@@ -104,7 +104,7 @@ class Subscriptions:
         self._reader.pinned = pinned
 
     def request_reset(self, request: ResetRequest) -> None:
-        """Let the next valid publishers hold their topics, or those of the session of ``keep_gid``.
+        """Give each topic to its next valid publisher, or to the one of the session of ``keep_gid``.
 
         Raises:
             RefusedError: no publisher has this gid.
@@ -265,7 +265,7 @@ class Subscriptions:
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
     def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
-        """Write a mount to the log in words that a person can check: no data of one sensor show its error."""
+        """Write a mount to the log for the operator: the data of one sensor do not show its error."""
         told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
         if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
             self._mounts.add(told)

@@ -54,7 +54,7 @@ class Detection(NamedTuple):
 
 
 def detection(surest: float, clutter_share: float) -> Detection:
-    """Return the tables of a sensor about which nothing else is known.
+    """Return the tables of detection for a sensor that is described by these two figures alone.
 
     Args:
         surest: greatest probability of a return.

@@ -241,7 +241,7 @@ class ScanModel:
         return bool(np.isfinite(covariance).all()) and self.more_likely_pose(seen, pose, covariance) is None
 
     def more_likely_pose(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> PoseArrays | None:
-        """Return a pose near a given one that is likelier by more than chance, or None if there is none.
+        """Return a pose near a given one whose log likelihood is higher by more than ``CHANCE``, or None.
 
         An alignment may stop beside the optimum, as where thousands of small faces leave it many steps. A
         pose drawn from the covariance around an optimum is less likely than it, by three units on average.

@@ -210,7 +210,7 @@ def _better_by_outline(  # noqa: PLR0917
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return the best registration so far, or the one by the outline from another pose if that is likelier.
+    """Return the best registration so far, or one by the outline from another pose if that is better.
 
     Args:
         best: best registration so far, by the outline.
@@ -230,7 +230,7 @@ def _better_by_outline(  # noqa: PLR0917
 
 @kernel
 def _more_likely(best: ScanRegistration, other: ScanRegistration) -> ScanRegistration:
-    """Return the other registration if it is likelier than the best one by more than chance."""
+    """Return the other registration if its log likelihood is higher by more than ``CHANCE``."""
     least = best.statistics.agreement.log_likelihood + CHANCE
     return other if other.statistics.agreement.log_likelihood > least else best
 

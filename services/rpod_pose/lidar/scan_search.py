@@ -389,6 +389,6 @@ class ScanSearch:
         return start, self._scanner.statistics.posterior(self.seen, start, rough)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, without those close to a likelier one."""
+        """Return the poses in falling order of likelihood, without those close to a better one."""
         ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
         return self._model.turns.distinct(ranked, self._tuning.distinct_deg)

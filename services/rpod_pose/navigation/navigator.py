@@ -71,7 +71,7 @@ class Navigator:
         settings: settings of the estimator.
         methods: methods of each sensor, by its name.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
-        alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
+        alike: which attitudes of the target no measurement distinguishes; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
         dynamics: how tracks are predicted.

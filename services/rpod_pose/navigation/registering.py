@@ -51,7 +51,7 @@ class Registrar:
         return registration, "" if enough else registration.belief.refusal
 
     def around(self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState) -> Search:
-        """Return the search of a frame around its prediction, and nowhere else."""
+        """Return the search of a frame around its prediction only."""
         deskew = self.methods_for(joints, event).deskew
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         near = Near(as_of_stamp(event, predicted, deskew), T_sensor_target)

@@ -115,9 +115,9 @@ def update(
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
-    The measured attitude stands for all that no measurement tells from it: the nearest counts, and the angle
-    about a free axis is ignored. Considered blocks have no gain; the covariance is that of the gain which is
-    used (Joseph's form).
+    Attitudes that no measurement distinguishes from the measured one are equivalent to it: the nearest of
+    them is used, and the angle about a free axis is ignored. Considered blocks have no gain; the covariance
+    is that of the gain in use (Joseph's form).
 
     Args:
         state: state predicted to the measurement's stamp.
@@ -182,7 +182,7 @@ def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> Fl
     Args:
         sensitivity: derivatives of (dp, dtheta).
         R: rotation matrix of the target, shape (3, 3).
-        alike: which attitudes no measurement tells apart.
+        alike: which attitudes no measurement distinguishes.
     """
     if not len(alike.free_axes):
         return sensitivity

@@ -46,7 +46,7 @@ def start(
         config: noise of the filter.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
             Of a target with a free axis, the part along this axis counts, and of a sphere none.
-        alike: which attitudes of the target no measurement tells apart.
+        alike: which attitudes of the target no measurement distinguishes.
         blocks: further states, as before any measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
         white: as in ``update``.

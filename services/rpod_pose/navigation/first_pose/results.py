@@ -25,7 +25,7 @@ class SearchResults:
         beginning: begins tracks.
         parallel: starts and continues the tracks of rivals.
         output: composes the output of a frame.
-        alike: which attitudes of the target no measurement tells apart.
+        alike: which attitudes of the target no measurement distinguishes.
     """
 
     def __init__(

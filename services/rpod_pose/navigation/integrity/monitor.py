@@ -275,7 +275,7 @@ class Monitor:
         return levels, less
 
     def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
-        """Return the hypotheses that explain the measurements as well and are likelier than the risk."""
+        """Return the other hypotheses that explain the measurements and are more probable than the risk."""
         return [
             Solution(
                 each.name,
