@@ -130,7 +130,7 @@ class Navigator:
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
         before, (state, why) = state, self._coasting.aged(state, event.stamp_ns)
-        why *= state.mode == Mode.LOST
+        why = why if state.mode == Mode.LOST else ""
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
         if why:
@@ -289,7 +289,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
         tracked = state.mode.has_track
-        registration, reason = self._registrar.offered(state.joints, event, predicted, tracked=tracked)
+        registration, reason = self._registrar.register(state.joints, event, predicted, tracked=tracked)
         if reason and not (tracked and self._registrar.is_confident(predicted)):
             # While no twist is known, or after a gap, the prediction may be far off.
             if waiting := self._waiting(state, event):
@@ -381,7 +381,7 @@ class Navigator:
         """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS > self._limits.near_search_s:
             return self._acquire(state, event)
-        registration, why = self._registrar.offered(state.joints, event, predicted, tracked=False)
+        registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
             state = self._beginning.at_found(state, event, registration)
             return state, self._output(state, event, registration)

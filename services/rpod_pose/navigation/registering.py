@@ -33,10 +33,10 @@ class Registrar:
         """Return the angles that the tracks of the target's joints predict for a frame."""
         return {name: track.at(event.stamp_ns).angle for name, track in joints.items()}
 
-    def offered(
+    def register(
         self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, and the reason why it is not accepted.
+        """Return the registration from the prediction, and the reason why it is not accepted; empty if it is.
 
         Args:
             joints: tracks of the target's joints.

@@ -63,7 +63,7 @@ class Newcomers:
     def _compared(
         self, state: NavigatorState, separation: Separation, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        registration, reason = self._registrar.offered(
+        registration, reason = self._registrar.register(
             state.joints, event, predicted, tracked=separation.joined
         )
         if reason:
