@@ -24,7 +24,7 @@ from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 GRACE_S = 1.0
 """Time, s, after which a message that has not arrived counts as lost; only the time counts in which this
-process was awake. Publishers stay open for 0.3 s after their last message and tell its number each 0.2 s, so
+process was awake. Publishers stay open for 0.3 s after their last message and state its number each 0.2 s, so
 that a receiver without it can ask for it."""
 RETURN_S = 10.0
 """Time after an outage in which publishers come back, s, counted as the grace is: Zenoh tries at least each
@@ -67,7 +67,7 @@ class PublisherEnds:
         self._reasons: list[str] = []
         self._unconfirmed: list[str] = []
 
-    # --- what the bus tells ---
+    # --- from the bus ---
 
     def receive(self, received: Received) -> None:
         """Note a message."""
@@ -110,7 +110,7 @@ class PublisherEnds:
             self._forgotten += bool(oldest.service or oldest.topics)
         return known.setdefault(session, BusProcess(session))
 
-    # --- what follows from it ---
+    # --- decisions ---
 
     def decide(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
@@ -168,9 +168,9 @@ class PublisherEnds:
         if self._link.lost:
             return False
         with self._lock:
-            return any(self._may_still_tell(process, since_s) for process in self._processes.values())
+            return any(self._may_still_report(process, since_s) for process in self._processes.values())
 
-    def _may_still_tell(self, process: BusProcess, since_s: float) -> bool:
+    def _may_still_report(self, process: BusProcess, since_s: float) -> bool:
         """Return whether a process may still report its numbers, or its missing messages arrive."""
         if process.departed is not None:
             # a service that was lost with the link may be away for long
@@ -215,5 +215,5 @@ def _take_diagnostics(process: BusProcess, received: Received) -> None:
         diagnostics = read_diagnostics(received.decode())
     except MessageRejectedError:
         return
-    for diagnostic in diagnostics[:1]:  # a service of ours sends one
+    for diagnostic in diagnostics[:1]:  # a service of rpod sends one
         process.note_diagnostic(diagnostic, received)
