@@ -131,7 +131,7 @@ def _handover(handover: Handover) -> str:
 
 
 def _target_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return the row that tells truth and model apart; none if they are the same."""
+    """Return the row that names the targets of truth and model; none if they are the same."""
     model = summary.differing_model
     return [] if model is None else [("target", f"truth {summary.target}, model {model}")]
 

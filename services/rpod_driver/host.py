@@ -137,7 +137,7 @@ class Host:
         self._node.health.report(Health.OK, "the sensor delivers frames again")
 
     def _recover(self, error: Exception) -> None:
-        before, self._trouble = self._trouble, told_of(error)
+        before, self._trouble = self._trouble, error_line(error)
         self._node.health.count(f"failures/{self._config.name}")
         self._node.health.report(Health.ERROR, self._trouble)
         # For an unexpected error, the place in the code is logged once.
@@ -181,7 +181,7 @@ class Host:
         return (len(arrivals_s) - 1) / (arrivals_s[-1] - arrivals_s[0])
 
 
-def told_of(error: Exception) -> str:
+def error_line(error: Exception) -> str:
     """Return an error in one line; of a frame or an info with wrong values, the fields."""
     if isinstance(error, ValidationError):
         wrong = [

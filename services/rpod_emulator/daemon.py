@@ -93,7 +93,7 @@ class Emulator:
         faults: Faults | None = None,
     ) -> None:
         self._node, self._config = node, config
-        self._by_wall = config.time_source == "wall"
+        self._in_lockstep = config.in_lockstep
         self._channels, self._joints = channels, joints
         self._exposure_end_ns = {
             channel.sensor.name: _exposure_end_ns(channel.sensor) for channel in channels
@@ -107,7 +107,7 @@ class Emulator:
         self._begin(config.epoch_ns, None)
         node.serve("fault", FaultRequest, self._plan_fault)
         node.serve("start", StartRequest, self._ask_to_start, ros=trigger(StartRequest))
-        if not self._by_wall:
+        if self._in_lockstep:
             node.follow_clock(self._inbox.put)
         moved = REFERENCE if config.motion == REFERENCE.name else TRUTH
         node.subscribe(moved, self._inbox.put, recover=True, history=True)
@@ -125,7 +125,7 @@ class Emulator:
         self._in_gap = False
 
     def _ask_to_start(self, request: StartRequest) -> Accepted:
-        if request.epoch_ns is None and not self._by_wall:
+        if request.epoch_ns is None and self._in_lockstep:
             raise RefusedError("lockstep counts frames from motion's epoch: ask for a start with epoch_ns")
         self._starts.put(request)
         return Accepted()
@@ -159,7 +159,7 @@ class Emulator:
                 return
             self._begin(request.epoch_ns, request.duration_s)
             self._awaits_start = False
-            if not self._by_wall:
+            if self._in_lockstep:
                 self._suns.append(_DARKNESS)  # until the first sun message of this run
 
     def _take(self, received: Received) -> None:
@@ -168,7 +168,7 @@ class Emulator:
         elif received.topic == CLOCK:
             self._clock_ns = max(self._clock_ns, read_stamp(received.decode()))
         else:
-            self._truth.add(received, latest_ns=received.arrival_ns if self._by_wall else None)
+            self._truth.add(received, latest_ns=None if self._in_lockstep else received.arrival_ns)
 
     def _spare_s(self) -> float:
         ahead_s = [(made.frame.available_ns - time.time_ns()) / NANOSECONDS for made in self._made]
@@ -185,7 +185,7 @@ class Emulator:
         """
         if self._epoch_ns is None:
             return []
-        if not self._by_wall:
+        if self._in_lockstep:
             by_name = {channel.sensor.name: channel for channel in self._channels}
             return [(by_name[frame.sensor], frame) for frame in self._stepped(self._epoch_ns)]
         due = [
@@ -268,7 +268,7 @@ class Emulator:
         now_ns = time.time_ns()
         waiting = []
         for made in self._made:
-            if self._by_wall and made.frame.available_ns > now_ns:
+            if not self._in_lockstep and made.frame.available_ns > now_ns:
                 waiting.append(made)
                 continue
             made.publish()

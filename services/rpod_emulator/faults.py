@@ -67,7 +67,7 @@ class Faults:
     def of(cls, config: EmulatorConfig) -> Self:
         """Return the configured faults; raise ``ConfigurationError`` if one cannot be injected."""
         sensors = {sensor.name: sensor.kind for sensor in config.sensors}
-        self = cls(config.time_source == "clock", sensors)
+        self = cls(config.in_lockstep, sensors)
         for number, planned in enumerate(config.faults):
             try:
                 self._check(planned, at_start=not planned.start_s)

@@ -23,5 +23,5 @@ class MovingJoints:
         """Whether any joint turns."""
 
     def at(self, time_s: float) -> Target:
-        """Return the target at a time from the epoch; the joints stand still during a frame."""
+        """Return the target at a time from the epoch; the joints do not move during a frame."""
         return shown(self._target, {name: motion.angle_rad(time_s) for name, motion in self._motion.items()})

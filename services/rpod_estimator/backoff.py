@@ -44,7 +44,7 @@ class Backoff:
         self.pause_s = 0.0
         """Time between two searches; 0 as long as every frame is searched."""
 
-    def rests(self, frame: SensorFrame, now_s: float) -> bool:
+    def is_paused(self, frame: SensorFrame, now_s: float) -> bool:
         """Return whether a frame need not be searched."""
         if not self.pause_s:
             return False

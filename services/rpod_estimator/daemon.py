@@ -54,7 +54,7 @@ def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
             return live.of(methods, setups)
 
         # in lockstep, results must not depend on the machine's speed
-        estimator = Estimator(config, target, open_searches if config.time_source == "wall" else None)
+        estimator = Estimator(config, target, None if config.in_lockstep else open_searches)
         live.await_workers(stop)
         _serve(config, estimator, live, target, version=version, stop=stop)
 
@@ -85,7 +85,7 @@ def _serve(
                 if arrived is not None:
                     for each in readings:
                         each.take_until(arrived.stamp_ns)
-                    if config.time_source == "clock":
+                    if config.in_lockstep:
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
                     service.process(arrived)
@@ -120,7 +120,7 @@ class _Service:
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
         self._subscriptions.request_reset(request)
-        self._searches.end_rests()
+        self._searches.end_pauses()
         return self._estimator.request_reset(request)
 
     def process(self, arrived: Arrived) -> None:
@@ -130,7 +130,7 @@ class _Service:
         self._subscriptions.health.judge(arrived, output, time.monotonic())
         self._subscriptions.health.rest(self._searches.pause_s)
         if output.status.accepted or output.status.mode not in (Mode.ACQUIRING, Mode.LOST):
-            self._searches.end_rests()
+            self._searches.end_pauses()
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
         """Publish a result, and with it whether it is valid."""

@@ -116,7 +116,7 @@ class FrameReader:
             self.latched += (kind.info.of(sensor.name),)
         self._sensors[sensor.name] = _Sensor(sensor.source, kind, open_reader(kind, sensor.source))
         self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
-        self.leading[sensor.name] = next(iter(kind.parts))
+        self.leading[sensor.name] = kind.leading_part
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
             if other := self.parts.get(topic.name):
                 told = f"the topic {topic.name!r} is the {other[1]} of the sensor {other[0]} already"

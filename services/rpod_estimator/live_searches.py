@@ -99,7 +99,7 @@ class LiveSearches:
         worker, now_s = self._workers[search.sensor], self._now_s()
         if self._running.pop(search.sensor, None):
             worker.cancel()
-        if self._backoffs[search.sensor].rests(search.event.data, now_s):
+        if self._backoffs[search.sensor].is_paused(search.event.data, now_s):
             return Found.resting()
         worker.begin(search, self._setups[search.sensor])
         self._running[search.sensor] = _Running(search, now_s)
@@ -128,7 +128,7 @@ class LiveSearches:
         """Longest time between two searches; 0 as long as none is limited."""
         return max((backoff.pause_s for backoff in self._backoffs.values()), default=0.0)
 
-    def end_rests(self) -> None:
+    def end_pauses(self) -> None:
         """Search every frame again: something has changed."""
         for backoff in self._backoffs.values():
             backoff.end()

@@ -19,7 +19,7 @@ _SHOWN = 4
 
 
 class Setup(NamedTuple):
-    """The data of a sensor that a frame alone does not tell."""
+    """Data of a sensor that are not in its frames."""
 
     T_chaser_sensor: RigidTransform
     info: Any

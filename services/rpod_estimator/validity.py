@@ -1,4 +1,4 @@
-"""Whether the newest estimate may be used now: a flag and an age that a robot cannot overlook.
+"""Whether the newest estimate may be used now: a flag and the age of the newest measurement.
 
 An estimate is valid while it is supported by measurements that are new, accepted and not contradicted, and
 while its own covariance is below the alert limit. The validity is published with each estimate, and between
@@ -121,14 +121,14 @@ class Validity:
 
 
 class Beacon:
-    """Tells the validity between the estimates: at once when it ends, and otherwise every ``BEACON_S``.
+    """Publishes the validity between the estimates: at once when it ends, else every ``BEACON_S``.
 
-    Where time comes from the bus it is silent, because a thread of its own would make runs differ; there the
-    validity is told with each result, at the newest stamp of the results. A message of the clock may arrive
-    after a frame that was published later, so that the clock's time would differ between runs.
+    Where time comes from the bus it is silent, because a thread of its own would make runs differ. There the
+    validity is published with each result, at the newest stamp of the results: a message of the clock may
+    arrive after a frame that was published later, so that the clock's time would differ between runs.
 
     Args:
-        validity: the validity to tell.
+        validity: the validity to publish.
         tell: function that publishes it.
         clock: time of the stamps.
     """

@@ -35,7 +35,7 @@ class BusProcess:
     session: str
     """Zenoh identity of its session."""
     service: str = ""
-    """Name of the service; empty for a process that sends no diagnostics of ours."""
+    """Name of the service; empty for a process that sends no diagnostics of rpod."""
     gid: bytes = b""
     """Publisher of its diagnostics."""
     published: dict[str, int] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class BusProcess:
 
     @property
     def departed(self) -> Departure | None:
-        """When a service has gone; None if it is there, and for a process that is no service of ours."""
+        """When a service of rpod has ended; None if it runs, and for a process of other software."""
         return self.departures.get(DIAGNOSTICS.name) if self.service else None
 
     @property
@@ -72,7 +72,7 @@ class BusProcess:
             by_gid[gid] = received.attachment.sequence
 
     def note_diagnostic(self, diagnostic: Diagnostic, received: Received) -> None:
-        """Take the numbers of published messages from diagnostics, if they are those of a service of ours."""
+        """Take the numbers of published messages from diagnostics, if they are those of a service of rpod."""
         counters = {name: int(text) for name, text in diagnostic.values.items() if text.isdecimal()}
         if any(name.startswith(PUBLISHED) for name in counters):
             self.service, self.gid = diagnostic.name, received.attachment.gid

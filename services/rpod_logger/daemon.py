@@ -83,7 +83,7 @@ def _follow_publishers(node: Node) -> PublisherEnds:
 
 
 class _Readiness:
-    """Makes the service ready when it records, and tells the manager when the disk refuses the log.
+    """Makes the service ready when it records, and reports to the manager when the log cannot be written.
 
     Where the first log cannot be written, the service is not ready, counts all messages as lost, and tries
     again until it can, or until a ``start`` query has opened a log.
@@ -101,7 +101,7 @@ class _Readiness:
             self._recorder.start(again=BY_ITSELF)
 
     def update(self) -> None:
-        """Try again if that is due, and tell what has changed."""
+        """Try again if that is due, and report changes."""
         if not self._ready and not self._recorder.is_recording and time.monotonic() >= self._next_s:
             self.begin()
         if not self._ready and self._recorder.is_recording:

@@ -24,7 +24,7 @@ from rpod_schemas.topics import DIAGNOSTICS, Topic
 
 GRACE_S = 1.0
 """Time, s, after which a message that has not arrived counts as lost; only the time counts in which this
-process was awake. Publishers stay open for 0.3 s after their last message and tell its number each 0.2 s, so
+process was awake. Publishers stay open for 0.3 s after their last message and state its number each 0.2 s, so
 that a receiver without it can ask for it."""
 RETURN_S = 10.0
 """Time after an outage in which publishers come back, s, counted as the grace is: Zenoh tries at least each
@@ -67,7 +67,7 @@ class PublisherEnds:
         self._reasons: list[str] = []
         self._unconfirmed: list[str] = []
 
-    # --- what the bus tells ---
+    # --- from the bus ---
 
     def receive(self, received: Received) -> None:
         """Note a message."""
@@ -110,7 +110,7 @@ class PublisherEnds:
             self._forgotten += bool(oldest.service or oldest.topics)
         return known.setdefault(session, BusProcess(session))
 
-    # --- what follows from it ---
+    # --- decisions ---
 
     def decide(self, now_s: float) -> None:
         """Decide about the publishers that are gone and of which nothing comes any more."""
@@ -144,7 +144,7 @@ class PublisherEnds:
     def _is_final(self, departure: Departure, now_s: float) -> bool:
         """Return whether a publisher that is gone has had the time to come back, and its messages to come."""
         awake_s = self._awake.at(now_s)
-        if self._left_with_link(departure):
+        if self._lost_with_link(departure):
             return not self._link.lost and awake_s - self._regained[1] > RETURN_S
         return awake_s - departure.awake_s > GRACE_S
 
@@ -153,7 +153,7 @@ class PublisherEnds:
             if outage.end_ns is not None and outage.end_ns != self._regained[0]:
                 self._regained = outage.end_ns, awake_s
 
-    def _left_with_link(self, departure: Departure) -> bool:
+    def _lost_with_link(self, departure: Departure) -> bool:
         """Return whether a publisher has gone because the link was lost."""
         return any(
             abs(departure.stamp_ns - outage.begin_ns) * _NS < _OUTAGE_S for outage in self._link.outages()
@@ -168,13 +168,13 @@ class PublisherEnds:
         if self._link.lost:
             return False
         with self._lock:
-            return any(self._may_still_tell(process, since_s) for process in self._processes.values())
+            return any(self._may_still_report(process, since_s) for process in self._processes.values())
 
-    def _may_still_tell(self, process: BusProcess, since_s: float) -> bool:
+    def _may_still_report(self, process: BusProcess, since_s: float) -> bool:
         """Return whether a process may still report its numbers, or its missing messages arrive."""
         if process.departed is not None:
             # a service that was lost with the link may be away for long
-            return not self._left_with_link(process.departed)
+            return not self._lost_with_link(process.departed)
         return process.is_running_service and (process.is_silent(since_s) or bool(process.missing()))
 
     def conclude(self, since_s: float) -> None:
@@ -215,5 +215,5 @@ def _take_diagnostics(process: BusProcess, received: Received) -> None:
         diagnostics = read_diagnostics(received.decode())
     except MessageRejectedError:
         return
-    for diagnostic in diagnostics[:1]:  # a service of ours sends one
+    for diagnostic in diagnostics[:1]:  # a service of rpod sends one
         process.note_diagnostic(diagnostic, received)

@@ -110,7 +110,7 @@ class Recorder:
     def start(self, name: str | None = None, *, again: str = BY_QUERY) -> LogReply:
         """Open a log, under the last name if none is given. Raises ``LoggerError``.
 
-        ``again`` tells the operator what begins the next recording if this one cannot begin.
+        ``again`` names, for the operator, what begins the next recording if this one cannot begin.
         """
         return self._run_in_writer(lambda received: self._open(name, received, again=again))
 
@@ -206,7 +206,7 @@ class Recorder:
         self._watch_clock(received)
         if self._attempt(lambda recording: recording.write(received)):
             self._written[received.topic.name] += 1
-            self._tend()
+            self._close_or_split()
         elif self._failure:
             self._health.count(f"lost/{received.topic.name}")
 
@@ -231,13 +231,13 @@ class Recorder:
 
     def _sync(self) -> None:
         if self._attempt(lambda recording: recording.file.sync()):
-            self._tend()
+            self._close_or_split()
         if self._recording is not None and self._recording.file.vanished:
             self._end_early(
                 self._recording, OSError(errno.ENOENT, "the file has vanished from its directory")
             )
 
-    def _tend(self) -> None:
+    def _close_or_split(self) -> None:
         """Close the file if the disk is full, or split it if it is large or old enough."""
         recording, config = self._recording, self._config
         if recording is None:
@@ -306,9 +306,9 @@ class Recorder:
         recording = self._recording
         if recording is None:
             raise NotRecordingError
-        closed_at = self._totals(received)
+        totals = self._totals(received)
         endings = self._endings(recording.opened_ns)
-        self._attempt(lambda recording: recording.close(closed_at, self._config.bus.keys, endings=endings))
+        self._attempt(lambda recording: recording.close(totals, self._config.bus.keys, endings=endings))
         if self._failure:
             raise self._failure
         self._recording = None
@@ -336,10 +336,10 @@ class Recorder:
 
     def _end_early(self, recording: Recording, error: OSError) -> None:
         """Close the log if the disk still allows it; otherwise abandon it."""
-        closed_at = self._totals(self._backlog.received())
+        totals = self._totals(self._backlog.received())
         try:
             recording.close(
-                closed_at,
+                totals,
                 self._config.bus.keys,
                 reasons=(str(error.strerror),),
                 endings=self._endings(recording.opened_ns),

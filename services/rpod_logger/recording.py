@@ -78,11 +78,17 @@ class _Run:
 
 
 class Recording:
-    """An open log. It raises ``OSError`` if the disk refuses data."""
+    """An open log. It raises ``OSError`` if the disk refuses data.
 
-    def __init__(self, file: LogFile, opened_at: Totals, *, continues: str | None = None) -> None:
+    Args:
+        file: the file.
+        before: the totals at its opening.
+        continues: name of the file that it continues; None if there is none.
+    """
+
+    def __init__(self, file: LogFile, before: Totals, *, continues: str | None = None) -> None:
         self.file = file
-        self._opened_at = opened_at
+        self._before = before
         self._opened_s = time.monotonic()
         self.opened_ns = time.time_ns()
         """Time at which the file was opened, ns of UTC."""
@@ -142,14 +148,14 @@ class Recording:
         """Remember that this machine's clock jumped."""
         self._clock_jumps_s.append(round(jump_s, 3))
 
-    def counts(self, closed_at: Totals) -> dict[str, TopicCount]:
+    def counts(self, totals: Totals) -> dict[str, TopicCount]:
         """Return the numbers of messages of each topic since the log was opened."""
-        totals, written = closed_at.since(self._opened_at), self._unlisted.copy()
+        new, written = totals.since(self._before), self._unlisted.copy()
         for run in chain.from_iterable(self._runs.values()):
             written[run.topic] += run.messages
         return {
-            topic: TopicCount(**totals.of(topic), written=written[topic], repeated=self._repeated[topic])
-            for topic in sorted({*totals.topics, *written, *self._repeated})
+            topic: TopicCount(**new.of(topic), written=written[topic], repeated=self._repeated[topic])
+            for topic in sorted({*new.topics, *written, *self._repeated})
         }
 
     def _publishers(self, keys: Namespace) -> dict[str, str]:
@@ -163,7 +169,7 @@ class Recording:
 
     def close(
         self,
-        closed_at: Totals,
+        totals: Totals,
         keys: Namespace,
         *,
         reasons: tuple[str, ...] = (),
@@ -172,12 +178,12 @@ class Recording:
         """Add the counts and the record of completeness, and finish the file.
 
         Args:
-            closed_at: the totals at this moment.
+            totals: the totals at the close.
             keys: the facility's part of the key space.
             reasons: reasons why the file is not complete, beside those that follow from the counts.
-            endings: what is to be said of publishers that ended, and of the link.
+            endings: records about publishers that ended, and about the link.
         """
-        counts = {channel_topic(keys, name): count for name, count in self.counts(closed_at).items()}
+        counts = {channel_topic(keys, name): count for name, count in self.counts(totals).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}
         if self._unlisted:
             reasons += (f"more than {_MOST_PUBLISHERS:,} publishers: not all of them are listed",)

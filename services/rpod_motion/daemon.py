@@ -111,7 +111,7 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
     if not config.await_start:
         anew = "" if config.epoch_ns else ", from the beginning: with epoch_ns a restart goes on"
         node.ready(f"playing at once{anew}")
-        return _soon_ns(config)
+        return _epoch_ns(config)
     started = Event()
     requests: list[StartRequest] = []
 
@@ -130,10 +130,10 @@ def _epoch(node: Node, config: MotionServiceConfig) -> int | None:
         manager.alive()
         if node.stop.is_set():
             return None
-    return requests[0].epoch_ns or _soon_ns(config)
+    return requests[0].epoch_ns or _epoch_ns(config)
 
 
-def _soon_ns(config: MotionServiceConfig) -> int:
+def _epoch_ns(config: MotionServiceConfig) -> int:
     """Return the configured epoch, or one as soon as possible."""
     return config.epoch_ns or time.time_ns() + round(_SPARE_S * NANOSECONDS)
 

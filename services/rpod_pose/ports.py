@@ -258,7 +258,7 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 
 @runtime_checkable
 class ComparingTracker(Tracker[MeasurementT_contra], Protocol[MeasurementT_contra]):
-    """A tracker that tells which of several poses explains a frame best."""
+    """A tracker that compares how well several poses explain a frame."""
 
     def log_likelihoods(self, measurement: MeasurementT_contra, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of one frame at poses registered in it, shape (N,), up to a constant."""
@@ -342,7 +342,7 @@ class Task:
         return replace(self, tracker=tracker)
 
 
-def _nothing_to_know(_sensor: Any, _info: Any) -> Any:
+def _no_setup(_sensor: Any, _info: Any) -> Any:
     return ()
 
 
@@ -356,7 +356,7 @@ class KindMethods:
     """Function that returns frames without noise at T_sensor_target for a setup. Acquisition is warmed up
     with the first frame, tracking with all of them, so that compiled code is loaded before the first real
     frame."""
-    setup: Callable[[Any, Any], Any] = _nothing_to_know
+    setup: Callable[[Any, Any], Any] = _no_setup
     """Function that returns the data of a sensor that its methods need, from its configuration and its info
     message (None before the first message); None if neither contains them. When these data change, new
     methods are created."""

@@ -160,7 +160,7 @@ class _Waiting:
         """Whether nobody takes the data any more."""
 
     def give_up(self) -> None:
-        """Let nobody wait for room any more."""
+        """Release all who wait for room, now and later."""
         self.given_up = True
         self._taken.set()
 

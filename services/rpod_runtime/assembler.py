@@ -105,7 +105,7 @@ class Assembler(Generic[PartT]):
         complete = [
             self._finish(pending_ns)
             for pending_ns in sorted(self._pending)
-            if self._satisfied(pending_ns, newest=pending_ns == newest_ns)
+            if self._is_complete(pending_ns, newest=pending_ns == newest_ns)
         ]
         while len(self._pending) > _PENDING:
             self._give_up(min(self._pending))
@@ -129,7 +129,7 @@ class Assembler(Generic[PartT]):
         self._given_up.clear()
         return given_up
 
-    def _satisfied(self, stamp_ns: int, *, newest: bool) -> bool:
+    def _is_complete(self, stamp_ns: int, *, newest: bool) -> bool:
         parts = self._pending[stamp_ns]
         if not self._usable(parts):
             return False

@@ -79,8 +79,8 @@ def open_reader(kind: SensorKind, source: SourceConfig = ICD) -> SensorReader:
 def assembler_of(kind: SensorKind, source: SourceConfig = ICD) -> Assembler[Any]:
     """Return an assembler of the frames of a kind (ICD section 2)."""
     optional = frozenset(name for name in kind.optional if source.topic(name, kind.leading) is not None)
-    leading, within_ns = next(iter(kind.parts)), round(source.pair_within_s * NANOSECONDS)
-    return Assembler(kind.required, optional, kind.lasting, leading, within_ns)
+    within_ns = round(source.pair_within_s * NANOSECONDS)
+    return Assembler(kind.required, optional, kind.lasting, kind.leading_part, within_ns)
 
 
 class PartRejectedError(MessageRejectedError):

@@ -36,7 +36,7 @@ class HealthBook:
 
     @staticmethod
     def _known(name: str, book: Mapping[str, object]) -> str:
-        """Return a name under which something can be kept: who invents names does not fill the memory."""
+        """Return the name, or that of a common entry once there are many names, which bounds the memory."""
         return name if name in book or len(book) < MOST_NAMES else f"{name.split('/', 1)[0]}/others"
 
     def count(self, name: str, amount: int = 1) -> None:
@@ -76,7 +76,7 @@ class HealthBook:
         with self._lock:
             return self._rejections.get(topic, "")
 
-    def obey(self, verb: str, request: str, asker: str = "") -> None:
+    def note_command(self, verb: str, request: str, asker: str = "") -> None:
         """Count an accepted command and keep its text, so that a log shows which commands were given.
 
         ``asker`` is the name of who gave it, if certificates tell.
@@ -97,7 +97,7 @@ class HealthBook:
             self._changed = True
 
     def alarm(self, name: str, text: str) -> None:
-        """Set a text that keeps the level at least at WARN while it stands; an empty one takes it away."""
+        """Set an alarm. It keeps the level at least at WARN until an empty text removes it."""
         with self._lock:
             self._changed |= text != self._alarms.get(name, "")
             if text:

@@ -77,7 +77,7 @@ class Node(Asker):
         self.target_content: str | None = None
         self.health = HealthBook(config.instance)
         self.account = SequenceAccount()
-        self.clock: Clock = BusClock() if config.time_source == "clock" else WallClock()
+        self.clock: Clock = BusClock() if config.in_lockstep else WallClock()
         self.link = Link(self.health, config.bus.connect)
         self._identity = open_identity(config)
         self._keys = config.bus.keys
@@ -116,11 +116,11 @@ class Node(Asker):
             reloader.on_change(self._take_configuration)
         if self.config.bus.ros_services:
             self.parameters = self._ros.serve_parameters(
-                logged(self.config), use_sim_time=self.config.time_source == "clock"
+                logged(self.config), use_sim_time=self.config.in_lockstep
             )
         if isinstance(self.clock, BusClock):
             self.subscribe(CLOCK, partial(self._take_clock, self.clock), recover=True)
-        self._heart = Thread(target=self._beat, name="diagnostics", daemon=True)
+        self._heart = Thread(target=self._publish_heartbeats, name="diagnostics", daemon=True)
         self._heart.start()
         self._stack.callback(self._last_beat)
 
@@ -308,7 +308,7 @@ class Node(Asker):
 
             def obey(asked: RequestT) -> BaseModel:
                 reply = handler(asked)
-                self.obeyed(verb, asked.model_dump_json())
+                self.note_command(verb, asked.model_dump_json())
                 return reply
 
             self._ros.serve(
@@ -319,10 +319,10 @@ class Node(Asker):
         """Declare the liveliness token of a ROS 2 service, by which clients find it."""
         self._token(self._graph.endpoint_token("SS", self._entity(), service))
 
-    def obeyed(self, verb: str, request: str) -> None:
+    def note_command(self, verb: str, request: str) -> None:
         """Keep a command of a ROS 2 client in diagnostics, log and audit record."""
         self._identity.record(asker="a ROS 2 client", verb=verb, request=request, outcome="accepted")
-        self.health.obey(verb, request)
+        self.health.note_command(verb, request)
 
     def status(self) -> StatusReply:
         """Return the state, the counters and the configuration of this service."""
@@ -364,7 +364,7 @@ class Node(Asker):
         log.info("ready: %s", message)
         manager.ready(message)
 
-    def _beat(self) -> None:
+    def _publish_heartbeats(self) -> None:
         next_s = time.monotonic()
         while not self.stop.is_set():
             if self.health.take_change() or time.monotonic() >= next_s:

@@ -127,7 +127,7 @@ def write_request(folder: Path, role: str) -> Path:
 
 
 def accept_certificate(folder: Path, authority: bytes, certificate: bytes) -> None:
-    """Complete a folder whose key waits for its certificate; the old one stays until then.
+    """Add the certificate to a folder that holds its key; an old certificate stays until then.
 
     Raises:
         CredentialsError: the certificate is of another key, or not of this authority.

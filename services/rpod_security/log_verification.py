@@ -138,7 +138,7 @@ class _Check:
         return found
 
     def _meet(self, head: _Head) -> None:
-        """Check the first line: who signed, and which log comes before."""
+        """Check the first line: its version, the signer, and the log before this one."""
         result = self._result
         if head.version != 1:
             raise ChainError(chain_of(self._log), f"is of version {head.version}; this software reads 1")

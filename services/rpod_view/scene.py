@@ -80,7 +80,7 @@ class Scene:
 
     Args:
         prefix: prefix of the estimator's topics.
-        alike: attitudes of the target that no measurement tells apart; errors are modulo these.
+        alike: attitudes of the target that no measurement distinguishes; errors are modulo these.
     """
 
     def __init__(self, prefix: str, alike: Equivalence) -> None:

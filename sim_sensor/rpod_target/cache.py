@@ -20,7 +20,7 @@ DIGEST = "content_digest"
 """Name in a file of the digest of its arrays."""
 
 
-def sealed(arrays: Mapping[str, Array]) -> dict[str, Array]:
+def with_digest(arrays: Mapping[str, Array]) -> dict[str, Array]:
     """Return arrays together with their digest, which is named ``DIGEST``."""
     return {**arrays, DIGEST: np.array(_digest(arrays))}
 

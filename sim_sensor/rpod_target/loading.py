@@ -71,7 +71,7 @@ def load_target(
         file = (cache or cache_folder()) / f"sealed-{_digest(bare, meshes, variation)}.npz"
         arrays = store.read(file)
         if arrays is None:
-            arrays = store.sealed(_build(chosen, meshes, source, read or {}, variation))
+            arrays = store.with_digest(_build(chosen, meshes, source, read or {}, variation))
             with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
                 store.write(file, arrays)
         target = _assemble(chosen, arrays, source=source, digest=digest)

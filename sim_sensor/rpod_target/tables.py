@@ -40,7 +40,7 @@ def kept(name: str, version: int, inputs: tuple[Any, ...], make: Callable[[], Ta
         return found
     made = make()
     with contextlib.suppress(OSError):  # with a full or read-only disk only the next start is slower
-        store.write(file, store.sealed(made))
+        store.write(file, store.with_digest(made))
     return made
 
 

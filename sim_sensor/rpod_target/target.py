@@ -175,7 +175,7 @@ class Target:
 
     @cached_property
     def equivalence(self) -> Equivalence:
-        """Attitudes that no measurement tells apart."""
+        """Attitudes that no measurement distinguishes."""
         return Equivalence.of(self.symmetries)
 
     def turns(self, *, exact: bool = False) -> list[RigidTransform]:

@@ -23,7 +23,7 @@ _RAYS = 2_000_000
 
 
 class Sky:
-    """Casts rays from places outwards and tells which share of them meets nothing."""
+    """Casts rays outwards from places, and counts those that hit nothing."""
 
     def __init__(self, triangles_m: FloatArray) -> None:
         self._scene = scene_of(triangles_m)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from synthetic_log import TINY_CAMERA, Frame, SyntheticRun, see_depth, see_points
 
-from rpod_analysis.report import group_parts, tell_apart, write_comparison, write_report
+from rpod_analysis.report import group_parts, unique_names, write_comparison, write_report
 from rpod_schemas.summary import Comparison, Summary
 from rpod_schemas.types import Camera, Mode
 from rpod_target import load_target
@@ -219,9 +219,9 @@ def test_the_comparisons_json_is_the_summaries_in_the_given_order(compared):
 def test_parts_of_a_run_are_one_and_other_names_and_folders_are_other_runs():
     paths = [Path(name) for name in ("a/x.mcap", "a/x_0002.mcap", "b/x.mcap", "a/y.recovered.mcap", "folder")]
     assert group_parts(paths) == [paths[:2], [paths[2]], [paths[3]], [paths[4]]]
-    assert tell_apart([paths[0], paths[3]]) == ["x", "y.recovered"]
-    assert tell_apart([paths[0], paths[2]]) == ["a", "b"]
-    assert tell_apart([paths[0], paths[0]]) == ["a-1", "a-2"]
+    assert unique_names([paths[0], paths[3]]) == ["x", "y.recovered"]
+    assert unique_names([paths[0], paths[2]]) == ["a", "b"]
+    assert unique_names([paths[0], paths[0]]) == ["a-1", "a-2"]
 
 
 def test_the_rays_of_a_refused_scan_are_marked(tmp_path):

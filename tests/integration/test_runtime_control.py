@@ -293,7 +293,7 @@ def test_nodes_find_a_router_that_was_restarted():
 @pytest.fixture
 def quiet(monkeypatch):
     """Keep the handlers of signals and logging as the tests need them."""
-    monkeypatch.setattr("rpod_runtime.process.lifecycle._heed_signals", lambda *_: None)
+    monkeypatch.setattr("rpod_runtime.process.lifecycle._handle_signals", lambda *_: None)
     monkeypatch.setattr("rpod_runtime.process.lifecycle.configure_logging", lambda *_: None)
     monkeypatch.delenv("RPOD_SUPERVISED", raising=False)
 

@@ -65,7 +65,7 @@ def _first_page(folder: Path) -> str:
 
 
 def _decisions(root: Path) -> str:
-    lines = ["# Decisions", "", "What someone could question: context, decision, consequences.", ""]
+    lines = ["# Decisions", "", "Each decision has context, decision and consequences.", ""]
     files = sorted((root / _DECISIONS).glob("[0-9]*.md"))
     lines += [f"- [{heading(file.read_text('utf-8'))}]({file.name})" for file in files]
     return "\n".join(lines) + "\n"

@@ -76,6 +76,11 @@ class ServiceConfig(Config):
     """Clock that decides which messages are late or in the future: that of this machine, or the topic
     ``clock``."""
 
+    @property
+    def in_lockstep(self) -> bool:
+        """Whether time comes from the topic ``clock``, so that services wait for each other."""
+        return self.time_source == "clock"
+
 
 class RouterConfig(Config):
     """Configuration of the router, which withholds the truth from estimators."""

@@ -65,9 +65,14 @@ class SensorKind:
     """Topics that are recorded but belong to no frame."""
 
     @property
+    def leading_part(self) -> str:
+        """Name of the leading part."""
+        return next(iter(self.parts))
+
+    @property
     def leading(self) -> Topic:
         """Topic of the leading part."""
-        return next(iter(self.parts.values())).topic
+        return self.parts[self.leading_part].topic
 
     @property
     def required(self) -> frozenset[str]:

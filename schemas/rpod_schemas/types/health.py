@@ -35,7 +35,7 @@ class SensorSync(Model):
 
     @classmethod
     def read(cls, sensor: str, values: Mapping[str, str]) -> "SensorSync | None":
-        """Return what diagnostics tell of a sensor; None if that is nothing.
+        """Return the synchronisation of a sensor that diagnostics state; None if they state none.
 
         Raises:
             pydantic.ValidationError: a value is not one of those of the ICD.

@@ -63,7 +63,9 @@ def check(
     ] = None,
     source: Annotated[
         Path | None,
-        typer.Option("--source", help="File that tells how a foreign driver publishes; see deploy/sensors."),
+        typer.Option(
+            "--source", help="File that describes how another party's driver publishes; see deploy/sensors."
+        ),
     ] = None,
     connect: Annotated[str | None, typer.Option("--connect", help="Zenoh endpoint of the router.")] = None,
     duration: Annotated[float, typer.Option("--duration", help="Time to watch, s.")] = 30.0,

@@ -77,7 +77,7 @@ def sign(
 @pki_verbs.command()
 def accept(
     signed: Annotated[Path, typer.Argument(help="Folder that 'rpod pki sign' made.")],
-    folder: Annotated[Path, typer.Argument(help="Folder of the credentials, in which the key waits.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the credentials, which holds the key already.")],
 ) -> None:
     """Complete credentials with a signed certificate."""
     from rpod.pki.command import accept_command
@@ -104,7 +104,7 @@ def revoke(
     names: Annotated[list[str], typer.Argument(help="Names whose rights end.")],
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Take rights away. Then make the rules anew and restart the router."""
+    """Revoke credentials. Then make the rules again and restart the router."""
     from rpod.pki.command import revoke_command
 
     raise typer.Exit(revoke_command(folder, names))

@@ -110,7 +110,7 @@ class Progress:
             self._plain_s = time.monotonic()
             line = "  ".join(text.plain for text in self._cells())
             self._console.print(line.rstrip(), soft_wrap=True, highlight=False)
-            for text in self._troubles():
+            for text in self._problems():
                 self._console.print(text, soft_wrap=True, highlight=False)
 
     def _take(self, received: Received) -> None:
@@ -191,7 +191,7 @@ class Progress:
             return ""
         return f"error {seen.attitude_deg:.2f} deg  {1e3 * seen.position_m:.0f} mm"
 
-    def _troubles(self) -> list[Text]:
+    def _problems(self) -> list[Text]:
         return [
             Text(f"{each.level.name} {each.name}: {each.message}", style=_LEVELS.get(each.level, "yellow"))
             for each in self._seen.troubles.values()
@@ -200,4 +200,4 @@ class Progress:
     def _screen(self) -> Group:
         grid = Table.grid(padding=(0, 2))
         grid.add_row(*self._cells())
-        return Group(grid, *self._troubles())
+        return Group(grid, *self._problems())

@@ -56,7 +56,7 @@ def new(
         ),
     ] = "auto",
     confirm_size: Annotated[
-        bool, typer.Option("--confirm-size", help="A size below 0.05 m or above 500 m is meant.")
+        bool, typer.Option("--confirm-size", help="Confirm a size below 0.05 m or above 500 m.")
     ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", help="Parameter file to write; <cad>.yaml by default.")

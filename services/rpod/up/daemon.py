@@ -95,7 +95,7 @@ class Daemon:
         return self._process.pid if self._process else None
 
     @property
-    def told_state(self) -> DaemonState:
+    def shown_state(self) -> DaemonState:
         """State for the operator: a service that runs and cannot do its work is failing."""
         return "failing" if self.state in ("starting", "ready") and not self._at_work else self.state
 

@@ -70,7 +70,7 @@ class FacilityManager:
         services = tuple(
             DaemonStatus(
                 name=each.name,
-                state=each.told_state,
+                state=each.shown_state,
                 pid=each.pid,
                 up_s=round(each.up_s, 3),
                 restarts=each.restarts,
@@ -104,7 +104,7 @@ class FacilityManager:
     def _write(self, tell: Callable[[FacilityStatus], None]) -> None:
         """Write the state at each change, and once a second."""
         shown: list[tuple[DaemonState, int | None, ReserveState]] = [
-            (each.told_state, each.pid, each.reserve.state) for each in self._daemons
+            (each.shown_state, each.pid, each.reserve.state) for each in self._daemons
         ]
         changed = shown != self._shown
         if not changed and time.monotonic() < self._next_s:

@@ -171,9 +171,7 @@ class Log:
         for name, text in self.metadata(CONFIGURATION).items():
             try:
                 model = json.loads(text)
-            except ValueError:
-                model = None
-            except RecursionError:
+            except (ValueError, RecursionError):
                 model = None
             if not isinstance(model, dict):
                 self.unreadable.note(CONFIGURATION, Reason.MALFORMED, f"{name}: is not a JSON object")

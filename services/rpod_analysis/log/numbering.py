@@ -68,6 +68,6 @@ class Numbering:
         return max(known, self.recorded_before.get(topic, 0) if "" in publishers else 0)
 
     def published(self, topic: str) -> int:
-        """Return how many messages the numbers of a topic's publishers stand for, also before the log."""
+        """Return how many messages a topic's publishers sent by their numbers, also before the log."""
         # numbers may start at 0
         return sum(each.last + (each.first == 0) for each in self._topics[topic].values())

@@ -74,7 +74,7 @@ class Frames:
         return arrived
 
     def _let_leave(self, logged: Logged) -> None:
-        """Let the publishers whose last message this was give up their topics."""
+        """Release the topics of the publishers that have ended with this message."""
         session = self.holders.ended(as_received(logged)) if self.holders else ""
         for topic in self.reader.latched if session else ():
             self.reader.leave(session, topic)

@@ -90,7 +90,7 @@ class LoggedHolders:
         return True
 
     def hold(self, frame: Assembled[Received], leading: str) -> None:
-        """Note a valid frame, whose publishers hold their topics from now on.
+        """Note a valid frame. Its publishers hold their topics from now on.
 
         A topic that another publisher holds stays its own: a live run may have decided otherwise.
         """

@@ -3,9 +3,9 @@
 from rpod_analysis.report.report import (
     ReportPaths,
     group_parts,
-    tell_apart,
+    unique_names,
     write_comparison,
     write_report,
 )
 
-__all__ = ["ReportPaths", "group_parts", "tell_apart", "write_comparison", "write_report"]
+__all__ = ["ReportPaths", "group_parts", "unique_names", "write_comparison", "write_report"]

@@ -85,8 +85,8 @@ def state_figure(plot_data: PlotData) -> go.Figure:
     figure = make_subplots(
         rows=3, cols=1, shared_xaxes=True, row_heights=[0.13, 0.13, 0.74], vertical_spacing=0.03
     )
-    _stretches(figure, plot_data, plot_data.mode, _MODES, row=1)
-    _stretches(figure, plot_data, plot_data.source, _SOURCES, row=2)
+    _draw_intervals(figure, plot_data, plot_data.mode, _MODES, row=1)
+    _draw_intervals(figure, plot_data, plot_data.source, _SOURCES, row=2)
     time_s = plot_data.seconds(plot_data.rejected.stamp_ns)
     figure.add_trace(
         go.Scatter(
@@ -212,7 +212,7 @@ def with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
     return np.insert(time_s, pauses, time_s[pauses]), np.insert(values, pauses, np.nan)
 
 
-def _stretches(
+def _draw_intervals(
     figure: go.Figure, plot_data: PlotData, band: Band, colours: Mapping[Any, str], *, row: int
 ) -> None:
     """Draw a bar for each interval of equal value; the bars of one value are one trace."""

@@ -58,7 +58,7 @@ def write_comparison(runs: Sequence[Sequence[Path]], out: Path | None = None) ->
     Raises:
         AnalysisError: a log cannot be read, or contains no estimates.
     """
-    names, contents = tell_apart([logs[0] for logs in runs]), []
+    names, contents = unique_names([logs[0] for logs in runs]), []
     folders = [logs[0].absolute().parent for logs in runs]
     for logs, name, folder in zip(runs, names, folders, strict=True):
         alone = out is None and folders.count(folder) == 1
@@ -84,7 +84,7 @@ def group_parts(paths: Sequence[Path]) -> list[list[Path]]:
     return list(runs.values())
 
 
-def tell_apart(paths: Sequence[Path]) -> list[str]:
+def unique_names(paths: Sequence[Path]) -> list[str]:
     """Return a name for each log: its file's name; for equal names its folder's; else with a number."""
     absolute = [path.absolute() for path in paths]
     choices = (

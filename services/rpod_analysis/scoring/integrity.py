@@ -48,7 +48,7 @@ class IntegrityTotals:
         self._last = -1
 
     def take(self, told: Integrities, estimate_ns: IntArray, errors: Errors) -> None:
-        """Add a minute: what was told, and the stamps and errors of its estimates."""
+        """Add a minute: its states and levels, and the stamps and errors of its estimates."""
         if not told.stamp_ns.size:
             return
         states = np.concatenate(([self._last], told.state))

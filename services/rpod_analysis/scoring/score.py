@@ -94,7 +94,7 @@ def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolA
     """
     known_ns, first = np.unique(truth.stamp_ns, return_index=True)
     if known_ns.size == 0:
-        return _identities(stamp_ns.size), np.zeros(stamp_ns.size, bool)
+        return RigidTransform.identity(stamp_ns.size), np.zeros(stamp_ns.size, bool)
     poses = truth.poses[first]
     after = np.searchsorted(known_ns, stamp_ns).clip(0, known_ns.size - 1)
     exact = known_ns[after] == stamp_ns
@@ -142,7 +142,7 @@ def find_errors(
         truth: true T_chaser_target.
         covariance: covariances of (dp, dtheta) in chaser axes, shape (N, 6, 6); zeros if unknown.
         R_chaser_sensor: attitudes of the sensors whose frames gave the estimates, N rotations.
-        alike: attitudes of the target that no measurement tells apart: errors are those against the
+        alike: attitudes of the target that no measurement distinguishes: errors are those against the
             nearest of them.
     """
     T_truth, known = interpolate(truth, estimates.stamp_ns)
@@ -191,9 +191,3 @@ def find_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
 def _lengths(vectors: FloatArray) -> FloatArray:
     squared: FloatArray = (vectors**2).sum(axis=1)
     return np.sqrt(squared)
-
-
-def _identities(count: int) -> RigidTransform:
-    return RigidTransform.from_components(
-        np.zeros((count, 3)), Rotation.from_quat(np.tile((0.0, 0, 0, 1), (count, 1)))
-    )

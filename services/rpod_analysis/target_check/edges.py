@@ -55,11 +55,11 @@ def straight_edges(target: Target) -> list[Edge]:
     order = np.argsort(line.reshape(-1), kind="stable")
     for group in np.split(order, np.flatnonzero(np.diff(line.reshape(-1)[order])) + 1):
         at_m = np.stack([start_m[group], end_m[group]]) @ along[group[0]]
-        edges += _stretches(group, np.sort(at_m, axis=0), along[group[0]], foot_m[group[0]], angle_deg)
+        edges += _merged_segments(group, np.sort(at_m, axis=0), along[group[0]], foot_m[group[0]], angle_deg)
     return sorted(edges, key=lambda edge: -edge.length_m)
 
 
-def _stretches(
+def _merged_segments(
     group: Array, at_m: FloatArray, along: FloatArray, foot_m: FloatArray, angle_deg: FloatArray
 ) -> list[Edge]:
     """Return the edges on one line: segments that touch are one edge."""

@@ -51,7 +51,7 @@ _STEEPEST = 0.2
 
 
 def checked_symmetries(target: Target) -> list[FoundSymmetry]:
-    """Return a target's exact symmetries, then its near ones, each with the sensors' power to tell it.
+    """Return a target's exact symmetries, then its near ones, each with how well the sensors resolve it.
 
     A symmetry is exact if no sensor distinguishes it in any view. A small part, which the comparison by shape
     meets in few places, may distinguish it.

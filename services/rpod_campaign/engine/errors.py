@@ -11,7 +11,7 @@ class CampaignError(RpodError):
 
 
 class ForeignFolderError(CampaignError):
-    """Raised for a folder that belongs to something else."""
+    """Raised for a folder that holds something else than this campaign."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"{path}: {reason}; give another --out, or remove the folder")

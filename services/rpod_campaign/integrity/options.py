@@ -11,7 +11,7 @@ from rpod_schemas.config.scenario import Scenario
 
 
 class Options(CampaignOptions):
-    """Faults of sensors and models, and whether the estimator tells them in time."""
+    """Faults of sensors and models, and whether the estimator reports them in time."""
 
     title: ClassVar[str] = "Integrity: faults, protection levels and alerts"
 

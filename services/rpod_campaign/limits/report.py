@@ -61,10 +61,12 @@ def totals(results: Results) -> dict[str, Any]:
             }
             for each in found
         },
-        "most_doubted_share": max(_doubted_shares(right, found), default=float("nan")),
+        "most_doubted_share": max(_refused_shares(right, found), default=float("nan")),
         "together": {
             name: {
-                f"{kind}_{what}": _share(_by_any(rows, found, today=today, warned=what == "doubted")).as_json
+                f"{kind}_{what}": _share(
+                    _refused_by_any(rows, found, today=today, warned=what == "doubted")
+                ).as_json
                 for kind, rows in (("right", right), ("wrong", wrong))
                 for what in ("refused", "doubted")
             }
@@ -151,7 +153,7 @@ def _effect(
 ) -> dict[str, Rate]:
     """Return the shares of right and wrong poses that a limit refuses."""
     by_it = refused(wrong, one.field, one.value)
-    by_others = _by_any(wrong, [each for each in found if each is not one], today=False)
+    by_others = _refused_by_any(wrong, [each for each in found if each is not one], today=False)
     return {
         "right_refused": _share(refused(right, one.field, one.value)),
         "wrong_refused_today": _share(refused(wrong, one.field, one.field.value)),
@@ -160,7 +162,9 @@ def _effect(
     }
 
 
-def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned: bool = False) -> pl.Series:
+def _refused_by_any(
+    rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned: bool = False
+) -> pl.Series:
     """Return which poses at least one limit refuses; with ``warned``, also those of which a limit warns.
 
     No track begins at a pose that is refused or warned of.
@@ -172,9 +176,9 @@ def _by_any(rows: pl.DataFrame, found: Sequence[Derived], *, today: bool, warned
     return by_any
 
 
-def _doubted_shares(right: pl.DataFrame, found: Sequence[Derived]) -> list[float]:
+def _refused_shares(right: pl.DataFrame, found: Sequence[Derived]) -> list[float]:
     """Return for each satellite the share of its right poses that a limit refuses, or warns of."""
-    doubted = right.select("body", doubted=_by_any(right, found, today=False, warned=True))
+    doubted = right.select("body", doubted=_refused_by_any(right, found, today=False, warned=True))
     shares = doubted.group_by("body").agg(pl.mean("doubted"))
     return shares["doubted"].to_list()
 
@@ -189,7 +193,7 @@ def _kind_rows(right: pl.DataFrame, wrong: pl.DataFrame, found: Sequence[Derived
         (
             name,
             str(rows.height),
-            *(str(_share(_by_any(rows, found, today=today, warned=True))) for today in (True, False)),
+            *(str(_share(_refused_by_any(rows, found, today=today, warned=True))) for today in (True, False)),
         )
         for name, rows in groups
     ]

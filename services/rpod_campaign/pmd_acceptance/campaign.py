@@ -61,11 +61,11 @@ def cells(options: Options) -> list[AcceptanceCell]:
         )
         for _, scenario in scenarios(options)
         for name in options.case
-        if CASES[name].target != scenario.target and _can_be(CASES[name], scenario.target)
+        if CASES[name].target != scenario.target and _has_material_of(CASES[name], scenario.target)
     ]
 
 
-def _can_be(case: Case, target: str) -> bool:
+def _has_material_of(case: Case, target: str) -> bool:
     """Return whether a target has the material of a case, if it names one."""
     return case.world.coat is None or has_material(target, case.world.coat)
 

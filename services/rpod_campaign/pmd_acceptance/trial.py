@@ -109,7 +109,7 @@ def run(cell: AcceptanceCell, seed: int, trial: int) -> dict[str, Any]:
     looked_for = cached_target(scenario.target)
     truth = drawn(looked_for, "all", cell.range_m, stream(seed, trial, _DRAW))
     shot = still(stage, truth, number=trial)
-    frame = _spoiled(shot.frame, cell)
+    frame = _with_fault(shot.frame, cell)
     off_m = in_proportion(OFF_M, looked_for)
     start = off(truth, stream(seed, trial, _START), angle_deg=OFF_DEG, distance_m=off_m)
     found, tracked = methods.acquirer.acquire(frame), methods.tracker.track(frame, start)
@@ -159,7 +159,7 @@ def _lit(scenario: Scenario, sun: str, generator: Generator) -> Scenario:
     return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"sun": light})})
 
 
-def _spoiled(frame: PmdFrame, cell: AcceptanceCell) -> PmdFrame:
+def _with_fault(frame: PmdFrame, cell: AcceptanceCell) -> PmdFrame:
     camera, flipped = frame.camera, FLIPS[cell.flip]
     focal = {"fx": cell.focal_share * camera.fx, "fy": cell.focal_share * camera.fy}
     images = {"depth_m": np.ascontiguousarray(flipped(frame.depth_m))}

@@ -124,7 +124,7 @@ def pictures(results: Results) -> tuple[go.Figure, ...]:
     return tuple(figures)
 
 
-def seventh_note() -> str:
+def pictures_caption() -> str:
     """Return the caption of the pictures."""
     return (
         "Depth and amplitude, with the target's wireframe at the estimates and at the truth. Hidden lines "

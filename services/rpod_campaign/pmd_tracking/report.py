@@ -9,7 +9,7 @@ from rpod_campaign.pmd.sequence import START_DEG, START_M
 from rpod_campaign.pmd_tracking.beside_paper import (
     error_figures,
     pictures,
-    seventh_note,
+    pictures_caption,
     spikes_table,
     table_2,
 )
@@ -50,7 +50,7 @@ def _sections(results: Results) -> list[Section]:
             "different images.",
             spikes_table(keyframes),
         ),
-        Section("The seventh images (Figs. 13 and 14)", seventh_note(), figures=pictures(keyframes)),
+        Section("The seventh images (Figs. 13 and 14)", pictures_caption(), figures=pictures(keyframes)),
         Section(
             "All methods",
             f"Raw depth has all of the camera's wiggling, calibrated depth {CALIBRATED_WIGGLING:g} of it. "

@@ -216,7 +216,7 @@ def partial(seen: Observations) -> CheckResult:
     if len(seen.kept) < 4:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")
     if seen.kept[0].frame.images:
-        cut: Sequence[float] = [_cut_share(*pair) for pair in _pairs(seen)]
+        cut: Sequence[float] = [_truncated_share(*pair) for pair in _pairs(seen)]
         cut_frames = sum(share > _ROWS_SHARE for share in cut)
     else:
         organised = [kept for kept in seen.kept if kept.raw.ndim == 3]
@@ -231,7 +231,7 @@ def partial(seen: Observations) -> CheckResult:
     return fail(line, text, "partial", cut_share=share) if is_cut else ok(line, text)
 
 
-def _cut_share(before: Kept, after: Kept) -> float:
+def _truncated_share(before: Kept, after: Kept) -> float:
     """Return the share of a frame's live rows that are dead, to its border, in the next frame."""
     alive, then = (_live_rows(kept) for kept in (before, after))
     if alive.shape != then.shape or not then.any():

@@ -99,7 +99,8 @@ def with_truth(seen: Observations, results: list[CheckResult]) -> list[CheckResu
             "grid", f"mirrored points fit the target {ratio:.1f} times worse", mirror_ratio=ratio
         )
     merged = [
-        new.pop(each.line) if each.line in new and _adds(new[each.line], each) else each for each in results
+        new.pop(each.line) if each.line in new and _supersedes(new[each.line], each) else each
+        for each in results
     ]
     return merged + [each for line, each in new.items() if line in ("range", "mount_truth")]
 
@@ -114,8 +115,8 @@ def _other_time(results: list[CheckResult]) -> str:
     return ""
 
 
-def _adds(new: CheckResult, old: CheckResult) -> bool:
-    """Return whether truth tells more: the old result is unchecked, or only the new one is a failure."""
+def _supersedes(new: CheckResult, old: CheckResult) -> bool:
+    """Return whether a result with truth replaces the old one: it was unchecked, or only the new fails."""
     return old.level is Level.UNCHECKED or (new.level is Level.FAIL and old.level is not Level.FAIL)
 
 

@@ -85,7 +85,7 @@ class Offer(NamedTuple):
 
 @dataclass(frozen=True)
 class Options:
-    """Facts about a sensor that its messages do not tell."""
+    """Facts about a sensor that its messages do not contain."""
 
     rate_hz: float | None = None
     """Nominal rate."""
@@ -134,7 +134,7 @@ class Observations:
     @property
     def leading(self) -> str:
         """Leading part of the frames."""
-        return next(iter(sensor_kind(self.kind).parts))
+        return sensor_kind(self.kind).leading_part
 
     def of_part(self, part: str) -> list[Heard]:
         """Return the messages of a part, of the publisher that sent most, in the order of its numbers."""

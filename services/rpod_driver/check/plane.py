@@ -83,10 +83,10 @@ def _flatness(frame: PmdFrame) -> tuple[float, float, float] | None:
             inside |= plane.distances_m(points) < within_m
     if np.count_nonzero(inside) < _LEAST_SHARE * len(some):
         return None
-    flat_z, flat_radial = (_rms(points[inside]) for points in (as_z, as_radial))
+    flat_z, flat_radial = (_deviation_m(points[inside]) for points in (as_z, as_radial))
     better = as_z if flat_z < flat_radial else as_radial
     factor = 1.0 / cosines.ravel()[some][inside] if better is as_radial else cosines.ravel()[some][inside]
-    contrast = _rms(_projected(better[inside]) * factor[:, None])
+    contrast = _deviation_m(_projected(better[inside]) * factor[:, None])
     return (flat_z, flat_radial, contrast) if contrast > _CONTRAST * noise_m else None
 
 
@@ -105,7 +105,7 @@ def _noise_m(depth_m: Points) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
 
 
-def _rms(points_m: Points) -> float:
+def _deviation_m(points_m: Points) -> float:
     """Return the deviation of points from their plane, robust against a few outliers, m."""
     off_m = fitted_plane(points_m).distances_m(points_m)
     plane = fitted_plane(points_m[off_m <= 3.0 * np.median(off_m) + 1e-12])

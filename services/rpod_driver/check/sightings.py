@@ -98,7 +98,7 @@ def points_of(frame: SensorFrame) -> FloatArray:
 
 
 def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
-    """Return the pixels whose neighbours are as far: pixels at edges mix two distances."""
+    """Return the pixels whose neighbours have nearly the same depth: pixels at edges mix two depths."""
     with np.errstate(invalid="ignore"):
         valid = np.isfinite(depth_m) & (depth_m > 0.0)
         for axis in (0, 1):

@@ -34,8 +34,8 @@ class BodyInput(StampedInput[FrameTrack]):
 
     def __init__(self, node: Node, config: EstimatorConfig, bodies: KnownBodies | None) -> None:
         tracks = bodies.tracks.items() if bodies else ()
-        in_lockstep = config.time_source == "clock"
-        super().__init__(node, {BODY.at(frame): track for frame, track in tracks}, in_lockstep=in_lockstep)
+        topics = {BODY.at(frame): track for frame, track in tracks}
+        super().__init__(node, topics, in_lockstep=config.in_lockstep)
 
     def use(self, track: FrameTrack, received: Received) -> bool:
         """Use the pose of a body; return whether it is newer than all before."""

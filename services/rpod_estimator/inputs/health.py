@@ -1,4 +1,4 @@
-"""Tells the operator of inputs that are not used: in diagnostics, and each minute in the log."""
+"""Reports inputs that are not used to the operator: in diagnostics, and each minute in the log."""
 
 import logging
 
@@ -98,7 +98,7 @@ class InputHealth:
         self._pause_s = pause_s
 
     def take_diagnostic(self, diagnostic: Diagnostic) -> None:
-        """Repeat what a driver tells about a sensor's clock. Raises ``MessageRejectedError``."""
+        """Repeat what a driver reports about a sensor's clock. Raises ``MessageRejectedError``."""
         for sensor, book in self.books.items():
             try:
                 sync = SensorSync.read(sensor, diagnostic.values)

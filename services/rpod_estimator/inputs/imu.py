@@ -30,8 +30,7 @@ class ImuInput(StampedInput[ImuTrack]):
 
     def __init__(self, node: Node, config: EstimatorConfig, track: ImuTrack | None) -> None:
         self._config = config.dynamics
-        in_lockstep = config.time_source == "clock"
-        super().__init__(node, {} if track is None else {IMU: track}, in_lockstep=in_lockstep)
+        super().__init__(node, {} if track is None else {IMU: track}, in_lockstep=config.in_lockstep)
 
     def use(self, track: ImuTrack, received: Received) -> bool:
         """Use a reading of the IMU; return whether it is newer than all before."""

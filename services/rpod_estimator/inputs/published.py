@@ -23,7 +23,7 @@ class Published:
         self._lock = Lock()
 
     def watch(self, node: Node) -> None:
-        """Watch the publishers of other ROS domains; on a secure bus nobody may see them."""
+        """Watch the publishers of other ROS domains; on a secure bus they are not visible."""
         own = node.config.bus
         if own.credentials is None:
             node.watch_tokens(EVERY_PUBLISHER, lambda token, is_there: self.note(own.domain, token, is_there))

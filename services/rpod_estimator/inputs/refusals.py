@@ -58,7 +58,7 @@ class Refusals:
         self._refusals.clear()
 
     def states(self, now_s: float) -> list[InputState]:
-        """Return what is to be told, each as a warning."""
+        """Return the refusals to report, each as a warning."""
         self._refusals = {place: each for place, each in self._refusals.items() if now_s <= each.until_s}
         texts = dict.fromkeys(each.text for each in self._refusals.values())
         return [InputState(Health.WARN, text) for text in texts]

@@ -29,7 +29,7 @@ TrackT = TypeVar("TrackT", bound=Track)
 
 
 class StampedInput(ABC, Generic[TrackT]):
-    """Receives readings, waits until a frame's stamp is covered, and tells what is missing.
+    """Receives readings, waits until a frame's stamp is covered, and reports missing readings.
 
     Args:
         node: the estimator's node.
@@ -97,7 +97,7 @@ class StampedInput(ABC, Generic[TrackT]):
         self._node.health.put(f"overflowed/{self.name}", self._inbox.overflowed)
 
     def _report_missing(self, missing: tuple[str, ...]) -> None:
-        """Tell when readings begin to be missing, and when they are there again."""
+        """Report when readings begin to be missing, and when they arrive again."""
         if missing:
             self._node.health.count(f"{self.name}/{self.lack}")
         if missing == self._missing:

@@ -53,7 +53,7 @@ class Subscriptions:
 
     def __init__(self, node: Node, config: EstimatorConfig) -> None:
         self._node, self._config = node, config
-        self._in_lockstep = config.time_source == "clock"
+        self._in_lockstep = config.in_lockstep
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
         self._reader = FrameReader(config.sensors)
         self._newest: NewestFrames[Received] = NewestFrames()
@@ -62,7 +62,7 @@ class Subscriptions:
         self._ended = False
         self.heard_until_s = time.monotonic()
         """Time up to which all received messages have been processed, monotonic clock."""
-        silence_s = LOCKSTEP_SILENCE_S if config.time_source == "clock" else WINDOW_S
+        silence_s = LOCKSTEP_SILENCE_S if config.in_lockstep else WINDOW_S
         self.health = InputHealth(
             node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
         )
@@ -104,7 +104,7 @@ class Subscriptions:
         self._reader.pinned = pinned
 
     def request_reset(self, request: ResetRequest) -> None:
-        """Let the next valid publishers hold their topics, or those of the session of ``keep_gid``.
+        """Give each topic to its next valid publisher, or to the one of the session of ``keep_gid``.
 
         Raises:
             RefusedError: no publisher has this gid.
@@ -265,7 +265,7 @@ class Subscriptions:
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
     def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
-        """Write a mount to the log in words that a person can check: no data of one sensor show its error."""
+        """Write a mount to the log for the operator: the data of one sensor do not show its error."""
         told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
         if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
             self._mounts.add(told)

@@ -288,7 +288,7 @@ def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalen
     Args:
         belief: belief in the best pose.
         found: registrations, best first, each at angles of its own.
-        alike: which attitudes no measurement tells apart.
+        alike: which attitudes no measurement distinguishes.
     """
     best = found[0]
     rivals = []

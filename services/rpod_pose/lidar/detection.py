@@ -54,24 +54,24 @@ class Detection(NamedTuple):
 
 
 def detection(surest: float, clutter_share: float) -> Detection:
-    """Return the tables of a sensor about which nothing else is known.
+    """Return the tables of detection for a sensor that is described by these two figures alone.
 
     Args:
         surest: greatest probability of a return.
         clutter_share: share of rays whose result, return or none, is unrelated to the target.
     """
     echoes = np.exp(LEAST_LOG + (np.arange(RUNGS) + 0.5) / RUNGS_PER_LOG)
-    share = (1.0 - clutter_share) * _law(echoes, surest)
+    share = (1.0 - clutter_share) * _detection_probability(echoes, surest)
     return Detection(share, np.log(share + 1e-9), np.log(1.0 - share))
 
 
 def expected_shares(surest: float) -> FloatArray:
     """Return the prior probability of a return over even steps of the echo, shape (L,)."""
     echoes = np.arange(0.5, LINEAR_RUNGS, dtype=np.float64) / LINEAR_STEPS
-    shares: FloatArray = _law(echoes, surest).mean(axis=0)
+    shares: FloatArray = _detection_probability(echoes, surest).mean(axis=0)
     return shares
 
 
-def _law(echoes: FloatArray, surest: float) -> FloatArray:
+def _detection_probability(echoes: FloatArray, surest: float) -> FloatArray:
     law: FloatArray = surest / (1.0 + (HALVES[:, None] / echoes) ** STEEPNESS)
     return law

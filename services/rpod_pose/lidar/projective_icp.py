@@ -31,9 +31,9 @@ from rpod_pose.lidar.scan_registration import (
     ScanRegistration,
     is_sure,
     neighbourhood,
+    outline_mean,
     reach_of,
     refined,
-    settled,
     tracked,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
@@ -123,7 +123,7 @@ class ProjectiveIcp:
             if logs.max() > _log_likelihood(found) + CHANCE:
                 turn = Rotation.from_rotvec(angles_rad[logs.argmax()] * axis).as_matrix()
                 begin = PoseArrays(found.pose.R @ turn, found.pose.t)
-                other = settled(problem, begin, seen.range_m, self.model.assumed, self._reach)
+                other = outline_mean(problem, begin, seen.range_m, self.model.assumed, self._reach)
                 usable = bool(np.isfinite(other.information).all())
                 if usable and _log_likelihood(other) > _log_likelihood(found) + CHANCE:
                     found = other
@@ -165,7 +165,7 @@ class ProjectiveIcp:
             return self._with_sizes(seen, problem, found, self._placed(seen, found, posterior))
         turned, spread = self._turned(seen, problem, start, found)
         registration = self._placed(seen, turned, posterior if turned is found else None)
-        return self._with_sizes(seen, problem, turned, _uncertain_by(registration, spread))
+        return self._with_sizes(seen, problem, turned, _with_least_covariance(registration, spread))
 
     def _is_sure(self, seen: SeenScan, found: ScanRegistration) -> bool:
         """Return whether a scan determines a registration that is as likely as a right one."""
@@ -180,10 +180,10 @@ class ProjectiveIcp:
         """
         for _ in range(RESUMED):
             spread = neighbourhood(found.information, found.pose, self._reach, stretch=1.0)
-            start = self.model.likelier(seen, found.pose, spread)
+            start = self.model.more_likely_pose(seen, found.pose, spread)
             if start is None:
                 return found, self._is_sure(seen, found)
-            other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
+            other = outline_mean(problem, start, seen.range_m, self.model.assumed, self._reach)
             usable = bool(np.isfinite(other.information).all())
             if not (usable and _log_likelihood(other) > _log_likelihood(found) + CHANCE):
                 break
@@ -217,7 +217,7 @@ class ProjectiveIcp:
             least = _log_likelihood(found) + CHANCE
             if not self.model.fit(seen, *start).log_likelihood > least:
                 break
-            other = settled(problem, start, seen.range_m, self.model.assumed, self._reach)
+            other = outline_mean(problem, start, seen.range_m, self.model.assumed, self._reach)
             if not _log_likelihood(other) > least:
                 break
             found = other
@@ -302,7 +302,7 @@ def _log_likelihood(found: ScanRegistration) -> float:
     return found.statistics.agreement.log_likelihood
 
 
-def _uncertain_by(registration: Registration, spread: FloatArray) -> Registration:
+def _with_least_covariance(registration: Registration, spread: FloatArray) -> Registration:
     """Return a registration whose attitude is at least as uncertain as its turns, covariance (3, 3)."""
     if registration.T_sensor_target is None:
         return registration

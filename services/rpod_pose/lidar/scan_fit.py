@@ -237,11 +237,11 @@ class ScanModel:
         )
 
     def is_settled(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> bool:
-        """Return whether a pose is as likely as those around it; arguments as for ``likelier``."""
-        return bool(np.isfinite(covariance).all()) and self.likelier(seen, pose, covariance) is None
+        """Return whether a pose is as likely as those around it; arguments as for ``more_likely_pose``."""
+        return bool(np.isfinite(covariance).all()) and self.more_likely_pose(seen, pose, covariance) is None
 
-    def likelier(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> PoseArrays | None:
-        """Return a pose near a given one that is likelier by more than chance, or None if there is none.
+    def more_likely_pose(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> PoseArrays | None:
+        """Return a pose near a given one whose log likelihood is higher by more than ``CHANCE``, or None.
 
         An alignment may stop beside the optimum, as where thousands of small faces leave it many steps. A
         pose drawn from the covariance around an optimum is less likely than it, by three units on average.

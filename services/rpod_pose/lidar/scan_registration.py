@@ -156,8 +156,8 @@ def refined(
     found = _refined(problem, start, at_start.log_likelihood, range_m, assumed)
     if _is_sufficient(found, problem, reach):
         return found
-    return _likelier(
-        settled(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
+    return _better_by_outline(
+        outline_mean(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
     )
 
 
@@ -189,20 +189,20 @@ def tracked(  # noqa: PLR0917
     if near and _is_sufficient(found, problem, reach):
         return found
     if near:
-        best = settled(problem, start, range_m, assumed, reach)
-        return _likelier(best, found, problem, range_m, assumed, reach)
+        best = outline_mean(problem, start, range_m, assumed, reach)
+        return _better_by_outline(best, found, problem, range_m, assumed, reach)
     begin = field_aligned(far.points, start, far.field, far.scales_m)
     other = aligned(problem, begin, range_m, assumed)
     if other.statistics.agreement.log_likelihood < found.statistics.agreement.log_likelihood:
         found, other = other, found
     if _is_sufficient(other, problem, reach):
         return other
-    best = settled(problem, other.pose, range_m, assumed, reach)
-    return _likelier(best, found, problem, range_m, assumed, reach)
+    best = outline_mean(problem, other.pose, range_m, assumed, reach)
+    return _better_by_outline(best, found, problem, range_m, assumed, reach)
 
 
 @kernel
-def _likelier(  # noqa: PLR0917
+def _better_by_outline(  # noqa: PLR0917
     best: ScanRegistration,
     other: ScanRegistration,
     problem: FaceProblem,
@@ -210,7 +210,7 @@ def _likelier(  # noqa: PLR0917
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return the best registration so far, or the one by the outline from another pose if that is likelier.
+    """Return the best registration so far, or one by the outline from another pose if that is better.
 
     Args:
         best: best registration so far, by the outline.
@@ -222,15 +222,15 @@ def _likelier(  # noqa: PLR0917
     """
     likely = other.statistics.agreement.log_likelihood >= best.statistics.agreement.log_likelihood - CHANCE
     if _is_unexplained(best) or (likely and not _are_alike(best.pose, other.pose, reach)):
-        best = _likeliest(best, settled(problem, other.pose, range_m, assumed, reach))
+        best = _more_likely(best, outline_mean(problem, other.pose, range_m, assumed, reach))
     if _is_unexplained(best):
-        best = _likeliest(best, settled(problem, best.pose, range_m, assumed, reach))
+        best = _more_likely(best, outline_mean(problem, best.pose, range_m, assumed, reach))
     return best
 
 
 @kernel
-def _likeliest(best: ScanRegistration, other: ScanRegistration) -> ScanRegistration:
-    """Return the other registration if it is likelier than the best one by more than chance."""
+def _more_likely(best: ScanRegistration, other: ScanRegistration) -> ScanRegistration:
+    """Return the other registration if its log likelihood is higher by more than ``CHANCE``."""
     least = best.statistics.agreement.log_likelihood + CHANCE
     return other if other.statistics.agreement.log_likelihood > least else best
 
@@ -307,7 +307,7 @@ def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
 
 
 @kernel
-def settled(
+def outline_mean(
     problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
     """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""

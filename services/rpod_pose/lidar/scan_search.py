@@ -18,8 +18,8 @@ from rpod_pose.lidar.scan_registration import (
     Reach,
     aligned,
     neighbourhood,
+    outline_mean,
     reach_of,
-    settled,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.ports import Registration
@@ -358,7 +358,7 @@ class ScanSearch:
             return pose
         scanner = self._scanner
         problem, start = self._problem(self._fine_m), PoseArrays(pose.R, pose.t)
-        found = settled(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
+        found = outline_mean(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
         fit = ScanFit.of(found.statistics)
         if fit.log_likelihood < pose.fit.log_likelihood - CHANCE:
             return replace(pose, information=found.information)
@@ -389,6 +389,6 @@ class ScanSearch:
         return start, self._scanner.statistics.posterior(self.seen, start, rough)
 
     def _distinct(self, poses: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, without those close to a likelier one."""
+        """Return the poses in falling order of likelihood, without those close to a better one."""
         ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
         return self._model.turns.distinct(ranked, self._tuning.distinct_deg)

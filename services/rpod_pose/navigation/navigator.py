@@ -71,7 +71,7 @@ class Navigator:
         settings: settings of the estimator.
         methods: methods of each sensor, by its name.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
-        alike: which attitudes of the target no measurement tells apart; each estimate lists the poses that
+        alike: which attitudes of the target no measurement distinguishes; each estimate lists the poses that
             the turns give, and leaves the angle about a free axis as it is.
         joints: joints of the target, whose angles are estimated.
         dynamics: how tracks are predicted.
@@ -130,7 +130,7 @@ class Navigator:
         if isinstance(event, Tick):
             return self._let_time_pass(state, event)
         before, (state, why) = state, self._coasting.aged(state, event.stamp_ns)
-        why *= state.mode == Mode.LOST
+        why = why if state.mode == Mode.LOST else ""
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
         state, output = self._take(state, event)
         if why:
@@ -195,7 +195,7 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         told = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=told)
-        return output.noting(BEGUN, 1.0)
+        return output.with_evidence(BEGUN, 1.0)
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
         """Return an output that says whether its covariance makes it unusable."""
@@ -213,7 +213,7 @@ class Navigator:
         state = state.searching(replace(search, waited=1))
         reason = search.reason if search.registration else ""
         output = self._output(state, search.event, search.registration, reason=reason, search=SEARCHED)
-        return state, output.noting(BEGUN, 1.0)
+        return state, output.with_evidence(BEGUN, 1.0)
 
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Take the result of a search, at the stamp of the searched frame."""
@@ -280,7 +280,7 @@ class Navigator:
             frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
             reason = rivals.reason(self._alike)
             return self._ask(state, Search(event, frame, registration=registration, reason=reason))
-        return self._found.undecided(state, rivals, event, registration)
+        return self._found.keep_rivals(state, rivals, event, registration)
 
     # --- VERIFYING and TRACKING ---
 
@@ -289,7 +289,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Register from the prediction, accept or reject the pose, update the filter."""
         tracked = state.mode.has_track
-        registration, reason = self._registrar.offered(state.joints, event, predicted, tracked=tracked)
+        registration, reason = self._registrar.register(state.joints, event, predicted, tracked=tracked)
         if reason and not (tracked and self._registrar.is_confident(predicted)):
             # While no twist is known, or after a gap, the prediction may be far off.
             if waiting := self._waiting(state, event):
@@ -381,7 +381,7 @@ class Navigator:
         """Search near the prediction first, then everywhere."""
         if (event.stamp_ns - state.lost_ns) / NANOSECONDS > self._limits.near_search_s:
             return self._acquire(state, event)
-        registration, why = self._registrar.offered(state.joints, event, predicted, tracked=False)
+        registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
             state = self._beginning.at_found(state, event, registration)
             return state, self._output(state, event, registration)

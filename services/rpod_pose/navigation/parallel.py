@@ -33,7 +33,7 @@ class ParallelTracks:
     Args:
         start: starts a filter at a measured pose.
         config: configuration of the filter.
-        alike: which attitudes no measurement tells apart.
+        alike: which attitudes no measurement distinguishes.
     """
 
     def __init__(

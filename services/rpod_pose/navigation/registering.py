@@ -33,10 +33,10 @@ class Registrar:
         """Return the angles that the tracks of the target's joints predict for a frame."""
         return {name: track.at(event.stamp_ns).angle for name, track in joints.items()}
 
-    def offered(
+    def register(
         self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, and the reason why it is not accepted.
+        """Return the registration from the prediction, and the reason why it is not accepted; empty if it is.
 
         Args:
             joints: tracks of the target's joints.
@@ -51,7 +51,7 @@ class Registrar:
         return registration, "" if enough else registration.belief.refusal
 
     def around(self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState) -> Search:
-        """Return the search of a frame around its prediction, and nowhere else."""
+        """Return the search of a frame around its prediction only."""
         deskew = self.methods_for(joints, event).deskew
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         near = Near(as_of_stamp(event, predicted, deskew), T_sensor_target)

@@ -25,7 +25,7 @@ class Results:
 
     Args:
         config: configuration of the filter, which predicts to the frame's stamp.
-        alike: which attitudes no measurement tells apart; each estimate lists the poses that the turns give,
+        alike: which attitudes no measurement distinguishes; each estimate lists the poses the turns give,
             and leaves the angle about a free axis as it is.
     """
 

@@ -6,7 +6,7 @@ hypotheses. Errors of successive frames are correlated, so it counts as little a
 and no more than once in ``CORRELATED_S``.
 
 Only differences matter. A rival is excluded when a frame that another one explains contradicts it, or when
-the filter's gate rejects its motion. Attitudes that no measurement tells apart are one rival.
+the filter's gate rejects its motion. Attitudes that no measurement distinguishes are one rival.
 """
 
 from collections.abc import Sequence
@@ -125,7 +125,7 @@ class Rivals(NamedTuple):
 
         Args:
             found: poses that explain the frame; their evidence is that of this frame alone.
-            alike: which attitudes no measurement tells apart.
+            alike: which attitudes no measurement distinguishes.
         """
         best = self.tracks[0]
         of_best = [each.log_evidence for each in found if _are_same(each, best, alike)]
@@ -149,7 +149,7 @@ Numerics: the least weight that a search lists."""
 
 
 def distinct(tracks: Sequence[Rival], alike: Equivalence) -> tuple[Rival, ...]:
-    """Return rivals, best first, without those whose attitude is a better one's."""
+    """Return rivals, best first, without those that have the attitude of a better one."""
     kept: list[Rival] = []
     for track in sorted(tracks, key=lambda each: -each.log_evidence):
         if not any(_are_same(track, better, alike) for better in kept):

@@ -124,9 +124,9 @@ class Output:
         if not self.status.accepted:
             return self.because(why) if self.status.mode == Mode.LOST else self
         told = f"the track was lost: {why}; this frame begins it again"
-        return replace(self, lost=told).noting(LOST_AFTER_S, unsupported_s)
+        return replace(self, lost=told).with_evidence(LOST_AFTER_S, unsupported_s)
 
-    def noting(self, name: str, value: float) -> "Output":
+    def with_evidence(self, name: str, value: float) -> "Output":
         """Return this output with one more number in the status's evidence."""
         return replace(
             self, status=self.status.model_copy(update={"evidence": {**self.status.evidence, name: value}})
@@ -141,7 +141,7 @@ class Output:
         """
         status, earlier = self.status, then.status
         if status.accepted or earlier.accepted:
-            return self.noting(AGE_S, age_s)
+            return self.with_evidence(AGE_S, age_s)
         told = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
         changes: dict[str, object] = {"reason": told}
         if status.source == Source.NONE:  # nothing was found in this frame itself
@@ -149,4 +149,4 @@ class Output:
             evidence = {**earlier.evidence, **status.evidence}
             changes |= {name: getattr(status, name) for name in kept} | {"evidence": evidence}
             status = earlier
-        return replace(self, status=status.model_copy(update=changes)).noting(AGE_S, age_s)
+        return replace(self, status=status.model_copy(update=changes)).with_evidence(AGE_S, age_s)

@@ -130,7 +130,7 @@ class KnownBodies:
     def hiding(
         self, image: RangeImage, stamp_ns: int, T_chaser_sensor: RigidTransform, sensor: str = ""
     ) -> NDArray[np.bool_]:
-        """Return the rays that tell nothing of the target, because a body is there, shape (rows, columns).
+        """Return the rays on which a known body may hide the target, shape (rows, columns).
 
         What the frame shows of each body is noted in ``book``. A body that the sensor sees elsewhere hides
         nothing: the frame is used as if it were not known.

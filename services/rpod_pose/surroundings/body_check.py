@@ -173,7 +173,7 @@ class _Rays(NamedTuple):
         return np.where(measured_m > 0.0, measured_m - self.rendered_m, np.nan), inside
 
 
-def _some(rays: NDArray[np.bool_], rendered_m: Float32Array, most: int) -> _Rays:
+def _subsampled(rays: NDArray[np.bool_], rendered_m: Float32Array, most: int) -> _Rays:
     """Return at most about so many of some rays, evenly taken."""
     row, column = np.nonzero(rays)
     every = max(1, row.size // most)
@@ -185,9 +185,9 @@ def _offset(
     image: RangeImage, place: Place, met: NDArray[np.bool_], in_place_share: float
 ) -> FloatArray | None:
     """Return the offset of the body's shape in the sensor's axes, shape (3,), m; None if it is not found."""
-    inside = _some(met, place.rendered_m, MOST_INSIDE)
+    inside = _subsampled(met, place.rendered_m, MOST_INSIDE)
     ring_m = place.farthest_m - np.float32(place.tolerance_m)
-    around = _some(_beside(met, place.reach), ring_m, MOST_AROUND)
+    around = _subsampled(_beside(met, place.reach), ring_m, MOST_AROUND)
     steps = np.arange(-FARTHEST_STEPS, FARTHEST_STEPS + 1)
     in_tolerances = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     shifts = in_tolerances * place.reach

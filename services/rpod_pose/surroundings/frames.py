@@ -34,7 +34,7 @@ class Frames(Protocol[FrameT]):
         ...
 
     def behind_bodies(self, frame: FrameT, hides: NDArray[np.bool_]) -> FrameT:
-        """Return a frame that tells nothing where known bodies are.
+        """Return a frame without measurements where known bodies are.
 
         Args:
             frame: the frame.

@@ -192,7 +192,7 @@ class KnownParts:
         return self.frames.separated(frame, labels, np.zeros(labels.shape, np.bool_))
 
     def _unused(self, frame: Any, range_m: Float32Array) -> NDArray[np.bool_] | None:
-        """Return the pixels or rays that tell nothing, shape (rows, columns); None if there are none."""
+        """Return the pixels or rays that are not used, shape (rows, columns); None if there are none."""
         if self.unused is not None:
             _require_size("mask", self.unused, range_m)
         if not (self.dead_rows or self.dead_columns):

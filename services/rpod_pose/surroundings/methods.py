@@ -117,7 +117,7 @@ class TrackerAmongThings(Generic[FrameT]):
             return np.zeros(len(found))
         return self._tracker.log_likelihoods(measurement, found)
 
-    def left_by(self, image: RangeImage, found: Registration) -> Sight:
+    def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
         """Return what a found pose leaves of a frame, at the widest margin."""
         assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
         margin = self._margin(found, MARGINS[0])
@@ -264,7 +264,7 @@ class AcquirerAmongThings(Generic[FrameT]):
             labels = around_place(image, fine, place, radius_m)
             found = self._searched(measurement, fine, labels, pose)
             if found.begins_track and accepted is None:
-                found = self._among_rivals(measurement, fine, found, pose)
+                found = self._searched_in_remainder(measurement, fine, found, pose)
             if found.begins_track and accepted is None:
                 accepted, taken, rays = found, place, int(np.count_nonzero(place))
             elif found.begins_track and _apart_m(found, accepted) > radius_m:
@@ -313,7 +313,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
         return self._in_view(fine, self._verified(measurement, found))
 
-    def _among_rivals(
+    def _searched_in_remainder(
         self, measurement: FrameT, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
     ) -> Acquisition:
         """Return an accepted acquisition, or that of a search in what its pose leaves of the frame.
@@ -323,7 +323,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         beside the target, and the same search compares all attitudes in it.
         """
         assert found.pose is not None  # noqa: S101 - it is accepted
-        sight = self._tracker.left_by(fine, found.registration)
+        sight = self._tracker.without_target_at(fine, found.registration)
         again = self._searched(measurement, fine, sight.labels, pose)
         return found if again.outcome is Outcome.FAILED else again
 

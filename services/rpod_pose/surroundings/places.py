@@ -62,8 +62,8 @@ def places(
             yield within
         return
     found = []
-    number, sizes = _numbered(image, free, radius_m)
-    inside = _inside(number, sizes, free)
+    number, sizes = _labelled_surfaces(image, free, radius_m)
+    inside = _surfaces_within_image(number, sizes, free)
     for surface in _surfaces(number, sizes, free):
         some = [
             place
@@ -153,17 +153,19 @@ def _plane(points_m: FloatArray, generator: np.random.Generator, flat_m: float) 
 
 def surfaces(image: RangeImage, free: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.bool_]]:
     """Return the connected surfaces among some rays, shape (rows, columns) each."""
-    return _surfaces(*_numbered(image, free, radius_m), free)
+    return _surfaces(*_labelled_surfaces(image, free, radius_m), free)
 
 
 def _surfaces(
     number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.bool_]
 ) -> list[NDArray[np.bool_]]:
-    """Return ``surfaces`` of numbered rays; arguments as ``_numbered`` returns them, and the free rays."""
+    """Return ``surfaces`` of labelled rays: results of ``_labelled_surfaces``, and the free rays."""
     return [(number == n) & free for n in np.flatnonzero(sizes >= LEAST_RAYS)]
 
 
-def _inside(number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _surfaces_within_image(
+    number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return the rays on surfaces that do not reach the image's border, shape (rows, columns).
 
     A ray alone is no surface: its range is stray. Arguments are as for ``_surfaces``.
@@ -173,7 +175,7 @@ def _inside(number: NDArray[np.intp], sizes: NDArray[np.intp], free: NDArray[np.
     return inside
 
 
-def _numbered(
+def _labelled_surfaces(
     image: RangeImage, free: NDArray[np.bool_], radius_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the number of each ray's surface, (rows, columns), and the rays on each, (N,)."""

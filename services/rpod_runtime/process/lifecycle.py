@@ -56,7 +56,7 @@ def run(
     """
     configure_logging(instance, logging.getLevelNamesMapping()[log_level.upper()])
     stop = Stop()
-    _heed_signals(stop, reload)
+    _handle_signals(stop, reload)
     if os.environ.get(SUPERVISED):
         threading.Thread(target=_stop_with_supervisor, args=(stop,), daemon=True).start()
     try:
@@ -81,7 +81,7 @@ def run(
     return EXIT_OK
 
 
-def _heed_signals(stop: threading.Event, reload: Callable[[], object] | None) -> None:
+def _handle_signals(stop: threading.Event, reload: Callable[[], object] | None) -> None:
     """Handle signals in a thread of their own.
 
     A signal handler that set the event itself would hang if the main thread held the event's lock. The thread

@@ -26,7 +26,7 @@ AT_WORK = "X_RPOD_AT_WORK"
 
 
 class ServiceManager:
-    """The process that started this one, if it wants to be told; safe to use from several threads."""
+    """The process that started this one, if it asked for notifications. Safe to use from several threads."""
 
     def __init__(self) -> None:
         self._address = ""
@@ -67,7 +67,7 @@ class ServiceManager:
             self._send("WATCHDOG=1")
 
     def attend(self, stop: Event, most_s: float = inf) -> None:
-        """Wait until a service is stopped, or for a time, in place of a main loop; tell that it lives."""
+        """Wait, in place of a main loop, until a service is stopped or a time is over; report as alive."""
         end_s = time.monotonic() + most_s
         while not stop.wait(_TURN_S) and time.monotonic() < end_s:
             self.alive()

@@ -31,7 +31,7 @@ def await_turn(stop: Event) -> None:
     """
     if not os.environ.pop(RESERVE, ""):  # once a process, and not in its children
         return
-    log.info("warm, in reserve")
+    log.info("ready to take over, in reserve")
     manager.in_reserve()
     while not called.wait(_POLL_S):
         if stop.is_set():

@@ -52,7 +52,7 @@ class Served(Generic[RequestT]):
             else:
                 query.reply(self.keys.control(self.instance, self.verb, asker), reply)
                 if self.verb != _STATUS:
-                    self.health.obey(self.verb, request, asker)
+                    self.health.note_command(self.verb, request, asker)
 
     def _refuse(self, query: zenoh.Query, asker: str, error: Exception) -> None:
         answer = error_reply(error)

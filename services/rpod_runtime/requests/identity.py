@@ -75,7 +75,7 @@ class Anonymous:
         return ""
 
     def record(self, *, asker: str, verb: str, request: str, outcome: str) -> None:
-        """Record nothing: the diagnostics tell the commands."""
+        """Record nothing: the commands are in the diagnostics."""
 
     def warning(self) -> str:
         """Return nothing."""

@@ -33,7 +33,7 @@ class Owner(Protocol):
         """Declare the token of a service."""
         ...
 
-    def obeyed(self, verb: str, request: str) -> None:
+    def note_command(self, verb: str, request: str) -> None:
         """Keep an accepted command for the log."""
         ...
 
@@ -73,7 +73,7 @@ class RosGraph:
         def tell(changes: Sequence[Assignment]) -> None:
             changed = [write_parameter(*each) for each in changes]
             publish(write_parameter_event(time.time_ns(), node, changed=changed))
-            self._owner.obeyed("set_parameters", json.dumps(dict(changes), default=str))
+            self._owner.note_command("set_parameters", json.dumps(dict(changes), default=str))
 
         parameters.on_change(tell)
         for each in ParameterServices(parameters).all():

@@ -102,7 +102,7 @@ class EndWatch:
         self._stamps_ns: deque[int] = deque(maxlen=10)
 
     def add(self, last: Last, stamp_ns: int, *, sent_ns: int, arrival_ns: int) -> None:
-        """Take a frame; ``sent_ns`` is 0 where its publisher does not tell it."""
+        """Take a frame; ``sent_ns`` is 0 where its publisher does not state it."""
         self._last = last
         self._stamps_ns.append(stamp_ns)
         age_s = (arrival_ns - stamp_ns) / NANOSECONDS

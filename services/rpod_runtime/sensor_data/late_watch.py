@@ -69,7 +69,7 @@ class LateWatch:
             youngest = min(reversed(in_time), key=ages_s.__getitem__)
             return self._held(frames[youngest:], _pace_s(frames[: in_time[-1] + 1]) or _pace_s(frames))
         varies_s = max(ages_s, default=0.0) - min(ages_s, default=0.0)
-        if varies_s <= _HALF * self._max_age_s or not _goes_on(frames, varies_s, _pace_s(frames)):
+        if varies_s <= _HALF * self._max_age_s or not _clocks_ran(frames, varies_s, _pace_s(frames)):
             return ""
         return (
             f"the age of its frames varies by {varies_s:.3f} s, as a delay does and an offset of a clock "
@@ -80,7 +80,7 @@ class LateWatch:
         """Return how the last frame was delayed against the first one; empty if it was not."""
         first, last = frames[0], frames[-1]
         held_s = last.age_s - first.age_s
-        if held_s <= 0.0 or not _goes_on(frames, held_s, pace_s):
+        if held_s <= 0.0 or not _clocks_ran(frames, held_s, pace_s):
             return ""
         if held_s <= _HALF * last.age_s:
             return (
@@ -104,7 +104,7 @@ def _pace_s(frames: Sequence[_Frame]) -> float:
     return median(steps_s) if len(steps_s) >= _PACE else 0.0
 
 
-def _goes_on(frames: Sequence[_Frame], varies_s: float, pace_s: float) -> bool:
+def _clocks_ran(frames: Sequence[_Frame], varies_s: float, pace_s: float) -> bool:
     """Return whether both clocks went on while the age of frames varied: the sensor's and this machine's.
 
     Args:

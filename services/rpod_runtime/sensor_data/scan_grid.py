@@ -87,7 +87,7 @@ def rows_are_elevation(points_m: Float32Array) -> bool | None:
         return None
     # each laser of a turning head has one elevation, also where their azimuths are staggered
     limit = _LEVEL * _scatter(elevation.reshape(1, -1), returned.reshape(1, -1), 1)
-    level = [_scatter(elevation, _in_company(returned, axis), axis) < limit for axis in (1, 0)]
+    level = [_scatter(elevation, _with_neighbours(returned, axis), axis) < limit for axis in (1, 0)]
     if level[0] != level[1]:
         return level[0]
     upright = _scatter(elevation, returned, 1) + _scatter(azimuth, returned, 0)
@@ -97,7 +97,7 @@ def rows_are_elevation(points_m: Float32Array) -> bool | None:
     return False if turned < _DECISIVE * upright else None
 
 
-def _in_company(returned: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
+def _with_neighbours(returned: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
     """Return which returns have others in their line: a single one tells nothing about the line."""
     several: NDArray[np.bool_] = returned & (returned.sum(axis=axis, keepdims=True) > 1)
     return several
@@ -155,7 +155,7 @@ class GridInference:
             points_m: points, sensor axes; (rows, columns, 3) with one elevation a row, else (N, 3).
             scan_time_s: duration of the scan, 0 if it is unknown.
         """
-        if points_m.ndim == 3 and self._nothing_new(points_m):
+        if points_m.ndim == 3 and self._shows_known_lines(points_m):
             return
         azimuth, elevation, returned = angles_of(points_m)
         beside_rad = self._beside_rad if points_m.ndim == 3 else None
@@ -186,7 +186,7 @@ class GridInference:
         if self.pattern is None or _differ(self.pattern, now):
             self.pattern = now
 
-    def _nothing_new(self, points_m: Float32Array) -> bool:
+    def _shows_known_lines(self, points_m: Float32Array) -> bool:
         """Return whether enough scans have had returns in all lines in which this one has any."""
         returned = np.isfinite(points_m[..., 0]) & (points_m != 0.0).any(axis=-1)
         seen = np.concatenate((returned.any(axis=1), returned.any(axis=0)))

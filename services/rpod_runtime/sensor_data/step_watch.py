@@ -202,11 +202,11 @@ class StepWatch:
                 return True
         off_s_all = np.array([*before_s, off_s])
         return is_possible and (
-            self._runs_wrong(frame, off_s_all, pace, limit_s)
+            self._drifts(frame, off_s_all, pace, limit_s)
             or self._leaves_its_schedule(frame, off_s_all, pace, limit_s)
         )
 
-    def _runs_wrong(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
+    def _drifts(self, frame: _Frame, off_s: FloatArray, pace: _Pace, limit_s: float) -> bool:
         """Return whether the ages of the last frames grow steadily, while they arrive as due.
 
         This is so if a clock has lost time since a pause, so that none of the frames before is as usual.

@@ -195,7 +195,7 @@ class _Handler(WSGIRequestHandler):
     timeout = _SILENT_S
 
     def log(self, type: str, message: str, *args: Any) -> None:  # noqa: A002 - named by the base class
-        """Log nothing: an address may tell more than it should."""
+        """Log nothing: addresses that a browser sends may be confidential."""
 
 
 @contextmanager

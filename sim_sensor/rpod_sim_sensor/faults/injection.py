@@ -57,7 +57,7 @@ class Injection:
 
     def __init__(self, kind: str, seed: int) -> None:
         self.kind, self.seed = kind, seed
-        self.leading = next(iter(sensor_kind(kind).parts))
+        self.leading = sensor_kind(kind).leading_part
         self.first_ns: int | None = None
         self.size: float | None = None
         """Size in the catalogue's unit; None if the fault has none, or if it is drawn."""

@@ -98,7 +98,7 @@ def pieces(
         if not isinstance(part, MeshParameters):
             found.append(_analytic(part, index))
         elif index not in done:
-            together = _of_one_place(parameters, index)
+            together = _parts_of_one_mesh_file(parameters, index)
             done |= set(together)
             try:
                 if part.file not in files:
@@ -144,7 +144,7 @@ def _placed(part: PartParameters, triangles_m: FloatArray) -> FloatArray:
     return corners_m
 
 
-def _of_one_place(parameters: TargetParameters, index: int) -> dict[int, MeshParameters]:
+def _parts_of_one_mesh_file(parameters: TargetParameters, index: int) -> dict[int, MeshParameters]:
     """Return the parts, from an index on, that are different objects of one file at one scale and pose."""
     found: dict[int, MeshParameters] = {}
     objects: set[str] = set()

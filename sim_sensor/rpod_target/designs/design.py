@@ -11,7 +11,7 @@ import yaml
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.modelling.component import Component, joined
-from rpod_target.modelling.files import glb, parts
+from rpod_target.modelling.files import parts, to_glb
 from rpod_target.modelling.materials import MATERIALS
 from rpod_target.parameters import MaterialParameters
 
@@ -65,7 +65,7 @@ class Design:
         """Write both files into a folder and return the path of the parameter file. Raises OSError."""
         mesh = folder / self.mesh_file
         mesh.parent.mkdir(parents=True, exist_ok=True)
-        mesh.write_bytes(glb(self.components))
+        mesh.write_bytes(to_glb(self.components))
         file = folder / f"{self.name}.yaml"
         file.write_text(self.parameters(), encoding="utf-8")
         return file
@@ -76,7 +76,7 @@ def part(name: str, material: str, *meshes: trimesh.Trimesh) -> Component:
     return Component(name, joined(*meshes), material)
 
 
-def upon(point: Coordinates, normal: Coordinates, along: Coordinates) -> FloatArray:
+def pose_on(point: Coordinates, normal: Coordinates, along: Coordinates) -> FloatArray:
     """Return the pose, shape (4, 4), of something at a point with its z axis along a normal.
 
     Args:

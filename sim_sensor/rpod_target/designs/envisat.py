@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from rpod_target.designs.design import Design, around, part, upon
+from rpod_target.designs.design import Design, around, part, pose_on
 from rpod_target.designs.envisat_payload import antennas, end_instruments, outer_instruments
 from rpod_target.modelling.component import Component, along_x, bar, placed, pose
 from rpod_target.modelling.shapes import (
@@ -106,7 +106,7 @@ def _service_module(d: Envisat) -> list[Component]:
     body = placed(octagon, pose((0.0, 0.0, 0.0), Rotation.from_euler("z", np.pi / 8.0)))
     radiators, blankets, boxes = [], [], []
     for angle in 45.0 * np.arange(8):
-        stand = upon(around(angle, across, middle), around(angle, 1.0, 0.0), _X)
+        stand = pose_on(around(angle, across, middle), around(angle, 1.0, 0.0), _X)
         if angle in (0.0, 180.0):
             radiators += [placed(each, stand) for each in tiles((2.2, 1.0), (2, 1), gap=0.06, thick=0.03)]
         else:
@@ -124,24 +124,28 @@ def _service_module(d: Envisat) -> list[Component]:
 
 def _launch_face(d: Envisat, base: float) -> list[Component]:
     """Return the ring of the launch adapter on its skirt, the tanks inside of it, and thrusters around it."""
-    ring = placed(tube(d.ring_radius - 0.08, d.ring_radius, 0.06, 48), upon((-d.half_length, 0, 0), _X, _Y))
+    ring = placed(
+        tube(d.ring_radius - 0.08, d.ring_radius, 0.06, 48), pose_on((-d.half_length, 0, 0), _X, _Y)
+    )
     skirt = placed(
         tube(d.ring_radius - 0.06, d.ring_radius - 0.03, 0.46, 48),
-        upon((-d.half_length + 0.03, 0, 0), _X, _Y),
+        pose_on((-d.half_length + 0.03, 0, 0), _X, _Y),
     )
     gussets = [
-        placed(block((0.36, 0.03, 0.08)), upon(around(angle, 1.29, base - 0.2), around(angle, 1.0, 0.0), _X))
+        placed(
+            block((0.36, 0.03, 0.08)), pose_on(around(angle, 1.29, base - 0.2), around(angle, 1.0, 0.0), _X)
+        )
         for angle in 15.0 + 30.0 * np.arange(12)
     ]
     tanks = [
-        placed(dome(0.4, 0.36, 16, steps=4), upon(around(angle, 0.62, base), _BACK, _Y))
+        placed(dome(0.4, 0.36, 16, steps=4), pose_on(around(angle, 0.62, base), _BACK, _Y))
         for angle in 45.0 + 90.0 * np.arange(4)
     ]
     thrusters = []
     for angle in 22.5 + 45.0 * np.arange(8):
         foot = around(angle, 0.5 * d.service_width + 0.02, base + 0.02)
-        thrusters.append(placed(block((0.14, 0.1, 0.12)), upon(foot, around(angle, 1.0, 0.0), _X)))
-        thrusters.append(placed(tube(0.012, 0.025, 0.14, 8, top=0.06), upon(foot, _BACK, _Y)))
+        thrusters.append(placed(block((0.14, 0.1, 0.12)), pose_on(foot, around(angle, 1.0, 0.0), _X)))
+        thrusters.append(placed(tube(0.012, 0.025, 0.14, 8, top=0.06), pose_on(foot, _BACK, _Y)))
     return [
         part("launch-adapter", "aluminium", ring, skirt, *gussets),
         part("propellant-tanks", "steel", *tanks),
@@ -156,20 +160,22 @@ def _payload_module(d: Envisat) -> list[Component]:
     y, z = 0.5 * d.section[0], 0.5 * d.section[1]
     bays, covered = 4, end - begin - 0.1
     frames = [
-        placed(frame((d.section[0] + 0.1, d.section[1] + 0.1), wide=0.1, thick=0.08), upon((x, 0, 0), _X, _Y))
+        placed(
+            frame((d.section[0] + 0.1, d.section[1] + 0.1), wide=0.1, thick=0.08), pose_on((x, 0, 0), _X, _Y)
+        )
         for x in np.linspace(begin + 0.05, end - 0.05, bays + 1)
     ]
     silver = [
-        placed(each, upon((middle, 0, z), _Z, _X))
+        placed(each, pose_on((middle, 0, z), _Z, _X))
         for each in tiles((covered, d.section[0] - 0.1), (bays, 2), gap=0.12, thick=0.025)
     ]
     black = [
-        placed(each, upon((middle, side * y, 0), (0, side, 0), _X))
+        placed(each, pose_on((middle, side * y, 0), (0, side, 0), _X))
         for side in (-1.0, 1.0)
         for each in tiles((covered, d.section[1] - 0.1), (bays, 2), gap=0.12, thick=0.025)
     ]
     radiators = [
-        placed(block((1.2, 0.75, 0.07)), upon((x, side * y, height), (0, side, 0), _X))
+        placed(block((1.2, 0.75, 0.07)), pose_on((x, side * y, height), (0, side, 0), _X))
         for x, side, height in (
             (-1.2, 1, 0.45),
             (1.95, 1, 0.45),
@@ -218,7 +224,7 @@ def _array(d: Envisat) -> list[Component]:
             ]
     harness = [block((0.1, d.array[0] - 0.3, 0.03), (x, 0.5 * d.array[0], -0.03)) for x in (-0.9, 0.9)]
     # row along -x, its panels' x along y; then the array's turn about its axis
-    lying = upon((begin, 0.0, d.array_height), _Z, _Y)
+    lying = pose_on((begin, 0.0, d.array_height), _Z, _Y)
     turned = lying @ pose((0, 0, 0), Rotation.from_euler("y", d.array_angle_deg, degrees=True))
     yoke = [bar((0.0, -0.62, 0.0), (side * 1.3, 0.14, -0.07), 0.05, 8) for side in (-1.0, 1.0)]
     yoke.append(bar((-1.4, 0.1, -0.06), (1.4, 0.1, -0.06), 0.045, 8))
@@ -248,7 +254,7 @@ def _asar(d: Envisat) -> list[Component]:
     """Return the radar antenna: tiles below, frames and electronics above, struts to the body."""
     x, z = d.asar_place
     each = d.asar[1] / d.asar_panels
-    tilted = pose((x, 0.0, z), Rotation.from_euler("y", d.asar_tilt_deg, degrees=True)) @ upon(
+    tilted = pose((x, 0.0, z), Rotation.from_euler("y", d.asar_tilt_deg, degrees=True)) @ pose_on(
         (0, 0, 0), _DOWN, _X
     )
     faces, frames, boxes, hinges = [], [], [], []

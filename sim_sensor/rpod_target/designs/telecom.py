@@ -7,7 +7,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.designs.design import Design, around, part, upon
+from rpod_target.designs.design import Design, around, part, pose_on
 from rpod_target.modelling.component import Component, bar, joined, placed, pose
 from rpod_target.modelling.shapes import bell, block, dish, frame, panel_row, reflector, tiles, tube
 
@@ -72,17 +72,17 @@ def _bus(d: Telecom) -> list[Component]:
     mirrors: list[trimesh.Trimesh] = []
     rims = []
     for side in (-1.0, 1.0):
-        east = upon((0.0, 0.0, side * z), (0.0, 0.0, side), _X)
+        east = pose_on((0.0, 0.0, side * z), (0.0, 0.0, side), _X)
         blankets += [
             placed(each, east) for each in tiles((d.bus[0], d.bus[1]), (3, 2), gap=0.06, thick=0.025)
         ]
-        north = upon((0.0, side * y, 0.0), (0.0, side, 0.0), _X)
+        north = pose_on((0.0, side * y, 0.0), (0.0, side, 0.0), _X)
         mirrors += [
             placed(each, north)
             for each in tiles((d.bus[0] + 0.2, d.bus[2] + 0.1), (5, 3), gap=0.02, thick=0.04)
         ]
         rims.append(placed(frame((d.bus[0] + 0.3, d.bus[2] + 0.2), wide=0.06, thick=0.06), north))
-        end = upon((side * x, 0.0, 0.0), (side, 0.0, 0.0), _Y)
+        end = pose_on((side * x, 0.0, 0.0), (side, 0.0, 0.0), _Y)
         blankets += [placed(each, end) for each in tiles((d.bus[1], d.bus[2]), (2, 2), gap=0.06, thick=0.025)]
     boxes = [
         block((0.6, 0.45, 0.2), (-1.2, 0.5, z + 0.09)),
@@ -109,20 +109,20 @@ def _thrusters(d: Telecom) -> list[trimesh.Trimesh]:
             foot = np.array((-x - 0.07, across * (y - 0.2), up * (z - 0.2)))
             found.append(block((0.16, 0.2, 0.2), foot))
             found += [
-                placed(tube(0.012, 0.025, 0.16, 10, top=0.06), upon(foot, aim, along))
+                placed(tube(0.012, 0.025, 0.16, 10, top=0.06), pose_on(foot, aim, along))
                 for aim, along in (((-1.0, 0.0, 0.25 * up), _Y), ((-0.35, across, 0.0), _Z))
             ]
     for place in ((1.5, 0.0, z), (-0.9, 0.0, z), (1.5, 0.3, -z), (-0.9, -0.3, -z)):
         aim = (0.0, 0.0, np.sign(place[2]))
         found.append(block((0.14, 0.18, 0.12), place))
-        found.append(placed(tube(0.012, 0.025, 0.17, 10, top=0.06), upon(place, aim, _X)))
+        found.append(placed(tube(0.012, 0.025, 0.17, 10, top=0.06), pose_on(place, aim, _X)))
     return found
 
 
 def _docking_face(d: Telecom) -> list[Component]:
     """Return what a servicing vehicle meets: the adapter's ring around the nozzle of the apogee engine."""
     x = -0.5 * d.bus[0]
-    radius, stand = d.ring_radius, upon((x + 0.01, 0.0, 0.0), _BACK, _Y)
+    radius, stand = d.ring_radius, pose_on((x + 0.01, 0.0, 0.0), _BACK, _Y)
     skirt = tube(radius - 0.03, radius + 0.05, 0.2, 40, top=radius - 0.015)
     ring = placed(tube(radius - 0.045, radius, 0.05, 40), pose((0.0, 0.0, 0.17)))
     pads = [block((0.06, 0.09, 0.09), around(45.0 + 90.0 * k, radius + 0.04, x - 0.14)) for k in range(4)]
@@ -132,8 +132,8 @@ def _docking_face(d: Telecom) -> list[Component]:
     return [
         part("launch-adapter", "aluminium", placed(joined(skirt, ring), stand), *pads),
         part("adapter-plugs", "grey-panel", *plugs),
-        part("apogee-nozzle", "steel", placed(nozzle, upon((x - 0.06, 0.0, 0.0), _X, _Y))),
-        part("heat-shield", "silver-mli", placed(shield, upon((x - 0.02, 0.0, 0.0), _BACK, _Y))),
+        part("apogee-nozzle", "steel", placed(nozzle, pose_on((x - 0.06, 0.0, 0.0), _X, _Y))),
+        part("heat-shield", "silver-mli", placed(shield, pose_on((x - 0.02, 0.0, 0.0), _BACK, _Y))),
         part("thrusters", "steel", *_thrusters(d)),
     ]
 
@@ -214,7 +214,7 @@ def _reflectors(d: Telecom) -> list[Component]:
         centre = (0.15 if across > 0.0 else 0.75, 2.1 * across, side * (z + 0.45 + radius))
         shell, structure = _reflector(
             radius,
-            upon(centre, (1.0, -0.15 * across, -0.5 * side), _Y),
+            pose_on(centre, (1.0, -0.15 * across, -0.5 * side), _Y),
             np.array((-0.9, 0.8 * across, side * (z + 0.05))),
         )
         shells.append(shell)
@@ -227,23 +227,23 @@ def _earth_deck(d: Telecom) -> list[Component]:
     x = 0.5 * d.bus[0]
     horns = []
     for across, up, aim in ((0.55, 0.75, 0.45), (-0.6, 0.75, 0.45), (0.1, -0.8, -0.45), (-0.35, -0.8, -0.4)):
-        stand = upon((x - 0.02, across, up), (1.0, 0.0, aim), _Y)
+        stand = pose_on((x - 0.02, across, up), (1.0, 0.0, aim), _Y)
         horns.append(placed(tube(0.04, 0.06, 0.55, 16, top=0.2), stand))
         horns.append(placed(block((0.24, 0.24, 0.18)), stand))
     tower = [
         block((0.75, 0.75, 0.55), (x + 0.35, -0.05, 0.0)),
-        placed(frame((0.9, 0.7), wide=0.06, thick=0.06), upon((x + 0.75, -0.05, 0.0), _X, _Y)),
+        placed(frame((0.9, 0.7), wide=0.06, thick=0.06), pose_on((x + 0.75, -0.05, 0.0), _X, _Y)),
     ]
-    sub_dish, sub_feed = dish(0.38, 24, upon((x + 0.85, -0.05, 0.05), (1.0, 0.15, 0.1), _Y))
+    sub_dish, sub_feed = dish(0.38, 24, pose_on((x + 0.85, -0.05, 0.05), (1.0, 0.15, 0.1), _Y))
     mast = [
         bar((x, 0.95, -0.7), (x + 1.4, 0.95, -0.7), 0.03, 8),
         bar((x, 0.6, -0.7), (x + 0.7, 0.95, -0.7), 0.02, 6),
     ]
-    omni = placed(tube(0.03, 0.07, 0.3, 12, top=0.06), upon((x + 1.38, 0.95, -0.7), _X, _Y))
+    omni = placed(tube(0.03, 0.07, 0.3, 12, top=0.06), pose_on((x + 1.38, 0.95, -0.7), _X, _Y))
     trackers, feet = [], []
     for across, up, tilt in ((0.95, 0.35, 0.6), (-0.95, 0.4, -0.6)):
         trackers.append(
-            placed(tube(0.085, 0.1, 0.36, 16), upon((x + 0.12, across, up), (0.7, tilt, 0.2), _Z))
+            placed(tube(0.085, 0.1, 0.36, 16), pose_on((x + 0.12, across, up), (0.7, tilt, 0.2), _Z))
         )
         feet.append(block((0.2, 0.22, 0.22), (x + 0.09, across, up)))
     sensors = [

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from rpod_target.designs.design import Design, around, part, upon
+from rpod_target.designs.design import Design, around, part, pose_on
 from rpod_target.modelling.component import Component, bar, placed, pose
 from rpod_target.modelling.shapes import bell, block, dome, ellipsoid, frame, tube
 from rpod_target.parameters import MaterialParameters
@@ -62,7 +62,7 @@ class UpperStage:
             about=_ABOUT,
             components=(
                 *_hydrogen_tank(self),
-                *_fore(self),
+                *_payload_adapter(self),
                 *_oxygen_tank(self),
                 *_engine(self),
                 *_outside(self),
@@ -79,7 +79,7 @@ def _ring(
     inner: float, outer: float, begin: float, length: float, *, top: float | None = None
 ) -> trimesh.Trimesh:
     """Return a tube about x."""
-    return placed(tube(inner, outer, length, _SIDES, top=top), upon((begin, 0.0, 0.0), _X, _Y))
+    return placed(tube(inner, outer, length, _SIDES, top=top), pose_on((begin, 0.0, 0.0), _X, _Y))
 
 
 def _stringers(d: UpperStage, begin: float) -> list[trimesh.Trimesh]:
@@ -87,7 +87,7 @@ def _stringers(d: UpperStage, begin: float) -> list[trimesh.Trimesh]:
     return [
         placed(
             block((d.skirt - 0.1, 0.05, 0.06)),
-            upon(around(angle, d.radius + 0.04, begin + 0.5 * d.skirt), around(angle, 1.0, 0.0), _X),
+            pose_on(around(angle, d.radius + 0.04, begin + 0.5 * d.skirt), around(angle, 1.0, 0.0), _X),
         )
         for angle in np.arange(d.stringers) * 360.0 / d.stringers
     ]
@@ -98,17 +98,17 @@ def _hydrogen_tank(d: UpperStage) -> list[Component]:
     half = 0.5 * d.barrel
     barrel = trimesh.creation.cylinder(radius=d.radius, height=d.barrel, sections=_SIDES)
     fore = placed(
-        dome(d.radius - 0.01, d.dome_height, _SIDES, steps=5), upon((half - 0.01, 0.0, 0.0), _X, _Y)
+        dome(d.radius - 0.01, d.dome_height, _SIDES, steps=5), pose_on((half - 0.01, 0.0, 0.0), _X, _Y)
     )
     aft = placed(
-        dome(d.radius - 0.01, d.dome_height, _SIDES, steps=5), upon((0.01 - half, 0.0, 0.0), _BACK, _Y)
+        dome(d.radius - 0.01, d.dome_height, _SIDES, steps=5), pose_on((0.01 - half, 0.0, 0.0), _BACK, _Y)
     )
     lands = [
         _ring(d.radius - 0.02, d.radius + 0.018, x - 0.05, 0.1)
         for x in np.linspace(-half + 0.7, half - 0.7, 4)
     ]
     return [
-        part("hydrogen-tank", "foam", placed(barrel, upon((0.0, 0.0, 0.0), _X, _Y)), fore, aft, *lands),
+        part("hydrogen-tank", "foam", placed(barrel, pose_on((0.0, 0.0, 0.0), _X, _Y)), fore, aft, *lands),
         part(
             "skirts",
             "grey-panel",
@@ -120,7 +120,7 @@ def _hydrogen_tank(d: UpperStage) -> list[Component]:
     ]
 
 
-def _fore(d: UpperStage) -> list[Component]:
+def _payload_adapter(d: UpperStage) -> list[Component]:
     """Return the equipment around the cone of the payload adapter, and its ring."""
     shelf = 0.5 * d.barrel + d.skirt
     end = shelf + d.adapter
@@ -128,7 +128,8 @@ def _fore(d: UpperStage) -> list[Component]:
     ring = _ring(d.ring_radius - 0.07, d.ring_radius, end - 0.08, 0.1)
     pushers = [
         placed(
-            tube(0.02, 0.05, 0.2, 8), upon(around(30.0 + 90.0 * k, d.ring_radius - 0.13, end - 0.16), _X, _Y)
+            tube(0.02, 0.05, 0.2, 8),
+            pose_on(around(30.0 + 90.0 * k, d.ring_radius - 0.13, end - 0.16), _X, _Y),
         )
         for k in range(4)
     ]
@@ -143,7 +144,7 @@ def _fore(d: UpperStage) -> list[Component]:
         (290, 0.55),
         (335, 0.35),
     ):
-        stand = upon(around(angle, 1.72, shelf + 0.12), _X, around(angle, 1.0, 0.0))
+        stand = pose_on(around(angle, 1.72, shelf + 0.12), _X, around(angle, 1.0, 0.0))
         boxes.append(placed(block((0.34, size, 0.3)), stand))
     harness = [_ring(1.54, 1.58, shelf + 0.03, 0.05)]
     return [
@@ -159,7 +160,7 @@ def _oxygen_tank(d: UpperStage) -> list[Component]:
     across, along = d.oxygen
     place = d.oxygen_place
     top = -0.5 * d.barrel - d.skirt + 0.05
-    tank = placed(ellipsoid(across, along, 40, steps=10), upon((place, 0.0, 0.0), _X, _Y))
+    tank = placed(ellipsoid(across, along, 40, steps=10), pose_on((place, 0.0, 0.0), _X, _Y))
     belt = _ring(across - 0.05, across + 0.05, place - 0.07, 0.14)
     truss = []
     for k in range(8):
@@ -191,7 +192,7 @@ def _engine(d: UpperStage) -> list[Component]:
         bar(around(60.0 * k, 0.95, d.oxygen_place - 0.72), around(60.0 * k, 0.16, gimbal), 0.045, 8)
         for k in range(6)
     ]
-    chamber = placed(tube(0.08, 0.2, 0.55, 24, top=throat + 0.02), upon((gimbal, 0.0, 0.0), _BACK, _Y))
+    chamber = placed(tube(0.08, 0.2, 0.55, 24, top=throat + 0.02), pose_on((gimbal, 0.0, 0.0), _BACK, _Y))
     pumps = [
         bar((gimbal - 0.1, 0.42, 0.1), (gimbal - 0.65, 0.42, 0.1), 0.14, 16),
         bar((gimbal - 0.1, -0.38, -0.12), (gimbal - 0.5, -0.38, -0.12), 0.12, 16),
@@ -213,7 +214,7 @@ def _engine(d: UpperStage) -> list[Component]:
         part(
             "nozzle",
             "steel",
-            placed(bell(throat, exit_radius, length, 36), upon((seat, 0.0, 0.0), _X, _Y)),
+            placed(bell(throat, exit_radius, length, 36), pose_on((seat, 0.0, 0.0), _X, _Y)),
             *hoops,
         ),
     ]
@@ -226,7 +227,7 @@ def _outside(d: UpperStage) -> list[Component]:
 
     def on(angle: float, x: float, size: tuple[float, float, float]) -> trimesh.Trimesh:
         """Return a block on the tank's surface: its extent along x, around it, and outwards."""
-        stand = upon(around(angle, d.radius + 0.5 * size[2] - 0.02, x), around(angle, 1.0, 0.0), _X)
+        stand = pose_on(around(angle, d.radius + 0.5 * size[2] - 0.02, x), around(angle, 1.0, 0.0), _X)
         return placed(block(size), stand)
 
     tunnel = [on(0.0, 0.0, (d.barrel + 2.0 * d.skirt - 0.1, 0.34, 0.16))]
@@ -250,13 +251,13 @@ def _outside(d: UpperStage) -> list[Component]:
         foot = around(angle, d.radius + 0.2, -half - 0.5 * d.skirt)
         side = around(angle + 90.0, 1.0, 0.0)
         thrusters += [
-            placed(tube(0.02, 0.04, 0.42, 12, top=0.1), upon(foot, aim, around(angle, 1.0, 0.0)))
+            placed(tube(0.02, 0.04, 0.42, 12, top=0.1), pose_on(foot, aim, around(angle, 1.0, 0.0)))
             for aim in (np.array(_BACK), side, -side)
         ]
     patches = [on(angle, half + 0.3, (0.26, 0.3, 0.1)) for angle in (45.0, 135.0, 225.0, 315.0)]
     hatch = placed(
         frame((0.42, 0.6), wide=0.05, thick=0.05),
-        upon(around(180.0, d.radius + 0.02, half + 0.3), around(180.0, 1.0, 0.0), _X),
+        pose_on(around(180.0, d.radius + 0.02, half + 0.3), around(180.0, 1.0, 0.0), _X),
     )
     return [
         part("tunnel", "white-paint", *tunnel),

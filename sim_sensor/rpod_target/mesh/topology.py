@@ -42,12 +42,12 @@ def welded(triangles_m: FloatArray) -> Indices:
     if not len(corners):  # a part whose triangles all occur in another part too
         return np.zeros((0, 3), np.int64)
     tolerance_m = _WELD * np.ptp(corners, axis=0).max()
-    single, number = _once_each(corners)  # most corners occur several times, identical to the bit
+    single, number = _unique_corners(corners)  # most corners occur several times, identical to the bit
     pairs = cKDTree(single).query_pairs(tolerance_m, output_type="ndarray")
     return components(pairs, size=len(single))[number].reshape(-1, 3)
 
 
-def _once_each(corners: FloatArray) -> tuple[FloatArray, Indices]:
+def _unique_corners(corners: FloatArray) -> tuple[FloatArray, Indices]:
     """Return different corners in the order in which they first occur, and the number of each corner."""
     order = np.lexsort(corners.T)
     begins = np.append(True, (np.diff(corners[order], axis=0) != 0.0).any(axis=1))

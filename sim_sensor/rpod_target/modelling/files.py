@@ -25,7 +25,7 @@ def parts(components: Sequence[Component], file: str) -> list[dict[str, Any]]:
     ]
 
 
-def glb(components: Sequence[Component]) -> bytes:
+def to_glb(components: Sequence[Component]) -> bytes:
     """Return the components as one mesh file in metres (GLB), each an object with its material."""
     scene = trimesh.Scene()
     for each in components:

@@ -11,7 +11,7 @@ import yaml
 from numpy.random import Generator
 
 from rpod_target.modelling.component import Component, placed
-from rpod_target.modelling.files import glb, parts
+from rpod_target.modelling.files import parts, to_glb
 from rpod_target.population import equipment
 from rpod_target.population.bodies import KINDS, BodyKind, MainBody, main_body
 from rpod_target.population.detail import crinkled, refined, screws
@@ -222,5 +222,5 @@ def _with_files(name: str, design: _Design, generator: Generator) -> RandomSatel
         size_m=float((high - low).max()),
         triangles=sum(len(each.mesh.faces) for each in design.components),
         parameters=yaml.safe_dump(document, sort_keys=False, width=110),
-        meshes={file: glb(design.components)},
+        meshes={file: to_glb(design.components)},
     )

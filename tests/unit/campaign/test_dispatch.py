@@ -59,7 +59,7 @@ class PlayedClient:
         return function(**options)
 
     def submit(self, function: Any, *arguments: Any, workers: list[str], **_: Any) -> PlayedFuture:
-        future = PlayedFuture("hello" if function is cluster_worker.hello else "run", arguments)
+        future = PlayedFuture("hello" if function is cluster_worker.check_worker else "run", arguments)
         if future.name == "run":
             self.runs.append((workers[0], future))
         if not self.take(workers[0], future):

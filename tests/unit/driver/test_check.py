@@ -32,7 +32,7 @@ from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.geometry import Fitted, fitted
 from rpod_driver.check.sightings import sightings_of
-from rpod_driver.host import told_of
+from rpod_driver.host import error_line
 from rpod_runtime.sensors import CameraPublisher
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
@@ -256,12 +256,12 @@ def test_a_frame_with_wrong_values_is_told_in_one_line_with_what_it_needs():
             stamp_ns=1, frame_id="", depth_m=np.ones((4, 6)), amplitude=np.ones(4),
             camera=Camera(width=6, height=4, fx=5.0, fy=5.0, cx=2.5, cy=1.5),
         )  # fmt: skip
-    assert told_of(caught.value) == (
+    assert error_line(caught.value) == (
         "PmdFrame: depth_m: is of float64, needs an array of float32: np.asarray(..., np.float32); "
         "amplitude: has shape (4,), needs an array of shape (height, width)"
     )
-    assert told_of(OSError("no device")) == "no device"
-    assert told_of(OSError()) == "OSError"
+    assert error_line(OSError("no device")) == "no device"
+    assert error_line(OSError()) == "OSError"
 
 
 def test_a_result_becomes_json():

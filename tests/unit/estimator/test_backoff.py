@@ -43,7 +43,7 @@ class Search:
         """Let a frame arrive; return whether it was searched."""
         self.now_s += 1 / 15
         data = self._frame(self._rng, **(self._scene | scene))
-        if self.backoff.rests(data, self.now_s):
+        if self.backoff.is_paused(data, self.now_s):
             return False
         began_s, self.now_s = self.now_s, self.now_s + SEARCH_S
         self.searches_s.append(began_s)

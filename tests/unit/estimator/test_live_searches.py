@@ -138,7 +138,7 @@ def test_searches_in_vain_take_a_tenth_of_the_time_after_ten_seconds():
     assert searched_s == pytest.approx(10.0, abs=1.0)
     assert desk.live.pause_s == pytest.approx(5.0)
     assert desk.live.result(search(number + 1)).acquisition.belief.refusal == RESTING
-    desk.live.end_rests()
+    desk.live.end_pauses()
     assert desk.live.result(search(number + 2)) is None
 
 

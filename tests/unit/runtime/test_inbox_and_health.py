@@ -56,8 +56,8 @@ def test_a_change_of_health_is_seen_once():
 def test_a_command_is_told_at_once_and_its_text_stays():
     health = HealthBook("estimator")
     health.take_change()
-    health.obey("reset", "{}")
-    health.obey("reset", '{"frame_id":"chaser"}')
+    health.note_command("reset", "{}")
+    health.note_command("reset", '{"frame_id":"chaser"}')
     assert health.take_change()
     assert health.diagnostic(5).values == {
         "commands/reset": "2",

@@ -131,7 +131,7 @@ def test_a_cache_file_that_was_changed_with_its_digest_has_another_content(
     arrays = store.read(stored)
     assert arrays is not None
     del arrays[store.DIGEST]
-    store.write(stored, store.sealed(arrays | {"triangles_m": 1.1 * arrays["triangles_m"]}))
+    store.write(stored, store.with_digest(arrays | {"triangles_m": 1.1 * arrays["triangles_m"]}))
     forged = load_target(file, cache=cache)
     assert forged.digest == built.digest
     assert forged.content_digest != built.content_digest

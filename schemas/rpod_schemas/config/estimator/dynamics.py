@@ -10,7 +10,7 @@ from rpod_schemas.poses import Attitude
 
 
 class OrbitConfig(Config):
-    """The target's orbit, a circle, and how the chaser stands in its frame (ICD section 1)."""
+    """The target's circular orbit, and the chaser's attitude in the orbital frame (ICD section 1)."""
 
     period_s: Positive
     """Period of the target's orbit, s. Set it to that of the mission's orbit, some 6,000 s in low orbits."""

@@ -78,7 +78,7 @@ class Delivery(NamedTuple):
     failure: Failure | None
 
 
-def hello(job: Job) -> Answer:
+def check_worker(job: Job) -> Answer:
     """Return whether this worker may run a job's trials; any error is a refusal."""
     try:
         return _answer(job)
@@ -105,10 +105,10 @@ def _answer(job: Job) -> Answer:
 
 
 def take_targets(job: Job, targets: Mapping[str, Target]) -> Answer:
-    """Store the targets whose files are not on this machine, and answer like ``hello``."""
+    """Store the targets whose files are not on this machine, and answer like ``check_worker``."""
     with _LOCK:
         provide_targets(targets)
-    return hello(job)
+    return check_worker(job)
 
 
 def run(job: Job, cell: int, numbers: Sequence[int]) -> Delivery:

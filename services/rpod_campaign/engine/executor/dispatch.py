@@ -135,7 +135,7 @@ class Dispatch:
         for address in self._workers.keys() - info.keys():
             self._ended(self._workers.pop(address))
         for address in info.keys() - self._workers.keys():
-            question = self._submit(address, cluster_worker.hello, self._job)
+            question = self._submit(address, cluster_worker.check_worker, self._job)
             self._workers[address] = _Worker(address, str(info[address].get("name", address)), question)
 
     def _require_connection(self) -> None:
@@ -173,7 +173,7 @@ class Dispatch:
                 worker.stage = _Stage.SILENT
                 for _, batch in worker.running:
                     self._batches.share(batch)
-                worker.question = self._submit(worker.address, cluster_worker.hello, self._job)
+                worker.question = self._submit(worker.address, cluster_worker.check_worker, self._job)
 
     def _feed(self) -> None:
         ready = [worker for worker in self._workers.values() if worker.stage is _Stage.READY]
@@ -220,7 +220,7 @@ class Dispatch:
         try:
             answer: Answer = worker.question.result(timeout=_RESULT_S)
         except TimeoutError:
-            worker.question = self._submit(worker.address, cluster_worker.hello, self._job)
+            worker.question = self._submit(worker.address, cluster_worker.check_worker, self._job)
             return
         except Exception as error:  # noqa: BLE001 - whatever prevents an answer
             if worker.question.status == "cancelled":

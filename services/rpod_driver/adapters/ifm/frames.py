@@ -43,7 +43,7 @@ class IfmImages:
 
 
 def images_of(chunks: dict[int, Chunk]) -> IfmImages:
-    """Return the images of a recorded buffer (o3r_uncompress_di.cpp tells the units).
+    """Return the images of a recorded buffer, in the units of o3r_uncompress_di.cpp.
 
     Raises:
         RecordingError: there is no radial distance, or no resolution for it.
@@ -70,7 +70,7 @@ def images_of(chunks: dict[int, Chunk]) -> IfmImages:
 
 
 def tof_info_of(data: bytes) -> tuple[TofInfo | None, str]:
-    """Return what TOF_INFO tells, or None and why it cannot be used."""
+    """Return the content of TOF_INFO, or None and the reason why it cannot be used."""
     if not data:
         return None, "the frame has no TOF_INFO; give the lens as device.calibration"
     try:

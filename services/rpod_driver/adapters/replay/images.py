@@ -37,7 +37,7 @@ class ImageFolder:
         next(self.frames())
 
     def info(self) -> None:
-        """Return None: images tell nothing of the camera."""
+        """Return None: images do not describe the camera."""
 
     def frames(self) -> Iterator[PmdFrame]:
         """Yield a frame for each depth image, stamped by its number. Raises ``RecordingError``."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from rpod_pose.lidar.scan_alignment import FaceProblem
 from rpod_pose.lidar.scan_likelihood import Assumptions
-from rpod_pose.lidar.scan_registration import Reach, ScanRegistration, settled
+from rpod_pose.lidar.scan_registration import Reach, ScanRegistration, outline_mean
 from rpod_pose.ports import OtherSize
 from rpod_pose.registration.lie_group import PoseArrays, step_between
 from rpod_schemas.arrays import FloatArray
@@ -56,7 +56,7 @@ def other_sizes(
         k = 1.0 + share
         start = PoseArrays(found.pose.R, found.pose.t / k)
         shorter_m = (range_m / k).astype(range_m.dtype)
-        scaled = settled(_shorter(problem, k), start, shorter_m, _shorter_statistics(assumed, k), reach)
+        scaled = outline_mean(_shorter(problem, k), start, shorter_m, _shorter_statistics(assumed, k), reach)
         R, t = scaled.pose
         step = step_between(pose_of(*found.pose), pose_of(R, k * t))
         if np.isfinite(step).all():

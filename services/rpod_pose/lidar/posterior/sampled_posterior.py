@@ -141,7 +141,7 @@ def sampled_posterior(
             break
     if effective >= SPREAD:
         mean, spread = _moments(x[:known], weights)
-    spread *= _from_few(max(effective, SPREAD))
+    spread *= _small_sample_factor(max(effective, SPREAD))
     ratios = logs[:known] - np.log(mixture[:known] * (samples / known))
     most = ratios.max()
     log_mass = most + log(np.exp(ratios - most).mean())
@@ -291,7 +291,7 @@ def _power(ratios: FloatArray) -> float:
 
 
 @kernel
-def _from_few(number: float) -> float:
+def _small_sample_factor(number: float) -> float:
     """Return the factor on a covariance that was computed from a number of samples.
 
     The inverse of such a covariance is too large by (n - 1) / (n - d - 2) on average for n normal samples of

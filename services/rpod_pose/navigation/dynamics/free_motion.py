@@ -26,7 +26,7 @@ from rpod_pose.navigation.dynamics.torque_free import (
     curvature,
     torque_free,
 )
-from rpod_pose.navigation.filter.blocks import Block, faded
+from rpod_pose.navigation.filter.blocks import Block, propagated_blocks
 from rpod_pose.navigation.filter.prediction import of_blocks, process_noise, turn_of_view_rad
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, orthonormal
 from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSITION, RATE, VELOCITY, FilterState, Motion
@@ -193,7 +193,7 @@ def _faded(state: FilterState, step_s: float, chaser: ChaserStep, turned_rad: fl
     """Return the blocks after a step; of the gyro's bias, what the star tracker has not taken out."""
     return tuple(
         replace(block, value=chaser.bias_kept * block.value) if block.name == GYRO_BIAS else block
-        for block in faded(state.blocks, step_s, turned_rad)
+        for block in propagated_blocks(state.blocks, step_s, turned_rad)
     )
 
 

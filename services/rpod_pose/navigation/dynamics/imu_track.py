@@ -126,7 +126,7 @@ class ImuTrack:
         return True
 
     def _with_attitude(self, found: _Sum, reading: ImuReading) -> _Sum:
-        """Return the integrals with what the reading's attitude tells of the bias."""
+        """Return the integrals with the information on the bias from the reading's attitude."""
         if self._orbit_rate_rad_s is None or reading.R_orbit_chaser is None or not reading.attitude_variance:
             return found
         angle_rad = self._orbit_rate_rad_s * (reading.stamp_ns - self._begin_ns) * 1e-9

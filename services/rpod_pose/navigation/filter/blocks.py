@@ -77,12 +77,12 @@ def unknown(blocks: Sequence[Block]) -> tuple[Block, ...]:
     return tuple(replace(block, value=np.zeros(block.size)) for block in blocks)
 
 
-def faded(blocks: Sequence[Block], step_s: float, turn_rad: float) -> tuple[Block, ...]:
+def propagated_blocks(blocks: Sequence[Block], step_s: float, turn_rad: float) -> tuple[Block, ...]:
     """Return the blocks after a step without a measurement, in which the target turns by ``turn_rad``."""
-    return tuple(_faded(block, step_s, turn_rad) for block in blocks)
+    return tuple(_propagated(block, step_s, turn_rad) for block in blocks)
 
 
-def _faded(block: Block, step_s: float, turn_rad: float) -> Block:
+def _propagated(block: Block, step_s: float, turn_rad: float) -> Block:
     if block.spread is not None:
         return replace(block, weight=block.kept(step_s, turn_rad) * exp(-turn_rad / ALIKE_RAD) * block.weight)
     if block.value.any():

@@ -14,7 +14,7 @@ from scipy.special import gammainc, gammaincinv
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
-from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, unturned
+from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, with_free_axes_unobserved
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix, rotation_of
@@ -120,9 +120,9 @@ def update(
 ) -> Update:
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
-    The measured attitude stands for all that no measurement tells from it: the nearest counts, and the angle
-    about a free axis is ignored. Considered blocks have no gain; the covariance is that of the gain which is
-    used (Joseph's form).
+    Attitudes that no measurement distinguishes from the measured one are equivalent to it: the nearest of
+    them is used, and the angle about a free axis is ignored. Considered blocks have no gain; the covariance
+    is that of the gain in use (Joseph's form).
 
     Args:
         state: state predicted to the measurement's stamp.
@@ -161,7 +161,7 @@ def update(
     keep = np.eye(state.size) - gain @ H
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
     corrected = replace(state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T))
-    return Update(unturned(corrected, config), nis, accepted=True, innovation=found)
+    return Update(with_free_axes_unobserved(corrected, config), nis, accepted=True, innovation=found)
 
 
 def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) -> bool:
@@ -194,7 +194,7 @@ def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> Fl
     Args:
         sensitivity: derivatives of (dp, dtheta).
         R: rotation matrix of the target, shape (3, 3).
-        alike: which attitudes no measurement tells apart.
+        alike: which attitudes no measurement distinguishes.
     """
     if not len(alike.free_axes):
         return sensitivity

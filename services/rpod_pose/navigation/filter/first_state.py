@@ -9,7 +9,15 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, observable
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
-from rpod_pose.navigation.filter.state import MOTION, POSE, RATE, VELOCITY, FilterState, MotionModel, unturned
+from rpod_pose.navigation.filter.state import (
+    MOTION,
+    POSE,
+    RATE,
+    VELOCITY,
+    FilterState,
+    MotionModel,
+    with_free_axes_unobserved,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix
@@ -38,7 +46,7 @@ def start(
         config: noise of the filter.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
             Of a target with a free axis, the part along this axis counts, and of a sphere none.
-        alike: which attitudes of the target no measurement tells apart.
+        alike: which attitudes of the target no measurement distinguishes.
         blocks: further states, as before any measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
         white: as in ``update``.
@@ -71,7 +79,7 @@ def start(
         blocks=tuple(blocks),
         model=model,
     )
-    return unturned(state, config)
+    return with_free_axes_unobserved(state, config)
 
 
 def _with_blocks(covariance: FloatArray, blocks: Sequence[Block], sensitivities: Sensitivities) -> FloatArray:

@@ -12,7 +12,7 @@ from math import hypot
 import numpy as np
 
 from rpod_pose.errors import PoseError
-from rpod_pose.navigation.filter.blocks import faded, step_of
+from rpod_pose.navigation.filter.blocks import propagated_blocks, step_of
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, symmetric
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
@@ -24,7 +24,7 @@ from rpod_pose.navigation.filter.state import (
     FilterState,
     Manoeuvre,
     Motion,
-    unturned,
+    with_free_axes_unobserved,
 )
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -53,7 +53,9 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     covariance = F @ state.covariance @ F.T + noise
     if after is not None:
         covariance = after @ covariance @ after.T
-    return unturned(replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config)
+    return with_free_axes_unobserved(
+        replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config
+    )
 
 
 def _raised(config: FilterConfig, manoeuvre: Manoeuvre) -> FilterConfig:
@@ -109,7 +111,7 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
             turn @ R, state.T_chaser_target.translation + arm_m + centre_m_s * step_s - arm_after_m
         ),
         velocity_m_s=centre_m_s - spin @ arm_after_m,
-        blocks=faded(state.blocks, step_s, turned_rad),
+        blocks=propagated_blocks(state.blocks, step_s, turned_rad),
     )
     return Motion(moved, F, Q, None)
 

@@ -72,7 +72,7 @@ class FilterState:
     centre_of_mass_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Centre of mass r of the target, target axes, shape (3,)."""
     alike: Equivalence = NO_SYMMETRY
-    """Attitudes that no measurement tells apart."""
+    """Attitudes that no measurement distinguishes."""
     blocks: tuple[Block, ...] = ()
     """Further states; their names differ."""
     model: MotionModel | None = None
@@ -105,7 +105,7 @@ class FilterState:
         )
 
 
-def unturned(state: FilterState, config: FilterConfig) -> FilterState:
+def with_free_axes_unobserved(state: FilterState, config: FilterConfig) -> FilterState:
     """Return a state with no error of the angles about free axes, and with unknown rates about them."""
     if not len(state.alike.free_axes):
         return state

@@ -36,7 +36,7 @@ class Beginning:
     Args:
         settings: settings of the estimator.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
-        alike: which attitudes of the target no measurement tells apart.
+        alike: which attitudes of the target no measurement distinguishes.
         joints: joints of the target, whose angles are estimated.
         dynamics: how tracks are predicted.
     """

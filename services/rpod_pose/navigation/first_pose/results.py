@@ -25,7 +25,7 @@ class SearchResults:
         beginning: begins tracks.
         parallel: starts and continues the tracks of rivals.
         output: composes the output of a frame.
-        alike: which attitudes of the target no measurement tells apart.
+        alike: which attitudes of the target no measurement distinguishes.
     """
 
     def __init__(
@@ -76,9 +76,9 @@ class SearchResults:
         if others and joined.decided and registration is not None:
             state = self._beginning.at_remaining(state, joined, event)
             return state, self._output(state, event, registration)
-        return self.undecided(state, joined, event, registration)
+        return self.keep_rivals(state, joined, event, registration)
 
-    def undecided(
+    def keep_rivals(
         self, state: NavigatorState, rivals: Rivals, event: Measurement, registration: Registration | None
     ) -> tuple[NavigatorState, Output]:
         """Keep the rivals for the next frame, unless they are too many."""

@@ -101,14 +101,14 @@ class Found:
 
 
 class Searches(Protocol):
-    """Makes searches, and tells when their results are there."""
+    """Makes searches, and returns each result once its search has ended."""
 
     def result(self, search: Search) -> Found | None:
         """Return the result of a search, which begins when it is asked for first; None while it runs."""
         ...
 
     def keep(self, searches: Collection[Search]) -> None:
-        """Cancel all searches but these: nobody asks for their results any more."""
+        """Cancel all searches but these, because the results of the others are not needed."""
         ...
 
 

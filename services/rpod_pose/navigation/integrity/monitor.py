@@ -167,7 +167,7 @@ class Monitor:
         for anchor in anchors:
             past = predict(anchor, estimate.stamp_ns, self._filter)
             test = _separation_test("the estimate and its prediction from before", estimate, past)
-            if test.fails(self._config.risk):
+            if test.exceeds_risk(self._config.risk):
                 since_s = (estimate.stamp_ns - anchor.stamp_ns) * 1e-9
                 text = f"{test.describe(self._config.risk)}, {since_s:.1f} s before"
                 return replace(memory, contradicted_ns=estimate.stamp_ns, contradiction=text)
@@ -275,7 +275,7 @@ class Monitor:
         return levels, less
 
     def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
-        """Return the hypotheses that explain the measurements as well and are likelier than the risk."""
+        """Return the other hypotheses that explain the measurements and are more probable than the risk."""
         return [
             Solution(
                 each.name,
@@ -326,7 +326,7 @@ class Monitor:
         """Return why the estimate must not be used; empty if nothing contradicts it."""
         if memory.frozen:
             return f"{', '.join(sorted(memory.frozen))}: frozen, its last frames are identical"
-        failed = [test.describe(self._config.risk) for test in tests if test.fails(self._config.risk)]
+        failed = [test.describe(self._config.risk) for test in tests if test.exceeds_risk(self._config.risk)]
         if failed:
             return failed[0]
         if memory.contradicted_ns is None:
@@ -343,7 +343,7 @@ class Monitor:
         if status.belief is not BeliefLevel.ACCEPTED:
             return "the newest measurement supports the pose weakly"
         risk = self._tuning.caution_risk
-        return next((test.describe(risk) for test in tests if test.fails(risk)), "")
+        return next((test.describe(risk) for test in tests if test.exceeds_risk(risk)), "")
 
     def _integrity(
         self,

@@ -44,7 +44,7 @@ class Statistic:
     cause: str = ""
     """Likely cause, for the operator."""
 
-    def fails(self, risk: float) -> bool:
+    def exceeds_risk(self, risk: float) -> bool:
         """Return whether the statistic is above what it exceeds by chance with probability ``risk``."""
         return not self.value <= chi2_limit(risk, self.dof)
 

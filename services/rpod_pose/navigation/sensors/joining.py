@@ -46,7 +46,7 @@ class Separation:
         return self.including if self.joined else self.without
 
 
-class Settled(NamedTuple):
+class SeparationUpdate(NamedTuple):
     """The filters after a frame of an established sensor."""
 
     history: History
@@ -56,21 +56,23 @@ class Settled(NamedTuple):
     accepted: bool
 
 
-def settled(separation: Separation, measured: PoseMeasurement, config: FilterConfig) -> Settled:
+def update_separation(
+    separation: Separation, measured: PoseMeasurement, config: FilterConfig
+) -> SeparationUpdate:
     """Return the filters after a frame of an established sensor."""
     without = apply(separation.without, measured, config)
     including = apply(separation.including, measured, config)
     if not (without.accepted or including.accepted):
         kept = replace(separation, without=without.history, including=including.history)
         nis = (including if separation.joined else without).nis
-        return Settled(kept.published, kept, nis, accepted=False)
+        return SeparationUpdate(kept.published, kept, nis, accepted=False)
     agree = including.accepted and _agree(without, including, measured.stamp_ns, config)
     if without.accepted and not agree:
-        return Settled(without.history, None, without.nis, accepted=True)
+        return SeparationUpdate(without.history, None, without.nis, accepted=True)
     alone = without if without.accepted else including
     kept = Separation(alone.history, including.history, separation.agreed + 1)
     nis = (including if kept.joined else alone).nis
-    return Settled(kept.published, kept, nis, accepted=True)
+    return SeparationUpdate(kept.published, kept, nis, accepted=True)
 
 
 def _agree(without: Applied, including: Applied, stamp_ns: int, config: FilterConfig) -> bool:

@@ -9,7 +9,7 @@ from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.registering import Registrar
-from rpod_pose.navigation.sensors.joining import Separation, probation, settled
+from rpod_pose.navigation.sensors.joining import Separation, probation, update_separation
 from rpod_pose.navigation.sensors.streams import is_supported
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Registration
@@ -63,7 +63,7 @@ class Newcomers:
     def _compared(
         self, state: NavigatorState, separation: Separation, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        registration, reason = self._registrar.offered(
+        registration, reason = self._registrar.register(
             state.joints, event, predicted, tracked=separation.joined
         )
         if reason:
@@ -111,5 +111,5 @@ def applied(
     if state.separation is None:
         grown, nis, accepted = apply(history, measured, config, predicted)
         return replace(state, history=grown), nis, accepted
-    after = settled(state.separation, measured, config)
+    after = update_separation(state.separation, measured, config)
     return replace(state, history=after.history, separation=after.separation), after.nis, after.accepted

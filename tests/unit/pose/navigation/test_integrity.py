@@ -200,7 +200,7 @@ def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
         innovation = innovation_of(state, pose, COVARIANCE, config=CONFIG)
         found.append(residual_of(state, innovation, START_NS + k * SECOND_NS))
     (size, mean), evidence = residual_tests("pmd", found, dof=6, correlated_s=1.0)
-    assert mean.fails(1e-6)
+    assert mean.exceeds_risk(1e-6)
     assert evidence["pmd_stamps_late_s"] == pytest.approx(0.5, abs=0.05)
     assert "stamps that are" in mean.describe(1e-6)
     assert size.dof == pytest.approx(6 * 40)
@@ -288,13 +288,13 @@ def inside(**found):
 def test_misfits_of_a_minute_are_tested_together_and_older_ones_forgotten():
     told = inside(misfit=Misfit(3.0, 1.0))
     (test,) = told.tests(10.0, 0.0)
-    assert not test.fails(1e-6)
+    assert not test.exceeds_risk(1e-6)
     for k in range(1, 4):
         again = Registration(Source.LIDAR, misfit=Misfit(3.0, 1.0))
         told = told.after("pmd", START_NS + k * SECOND_NS, again, 60.0)
     (test,) = told.tests(10.0, 0.0)
     assert test.value == pytest.approx(12.0**2 / 4.0)
-    assert test.fails(1e-6)
+    assert test.exceeds_risk(1e-6)
     assert not told.after("pmd", START_NS + 70 * SECOND_NS, None, 60.0).misfits
 
 
@@ -312,7 +312,7 @@ def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, l
     levels = levels_of([alone, *others, *between], NOTHING_UNSEEN, TEN_M, still, still)
     assert levels.attitude_deg == pytest.approx(level_deg, abs=0.3)
     (test,) = told.tests(10.0, 0.0, 1.0)
-    assert test.fails(1e-6) == fails
+    assert test.exceeds_risk(1e-6) == fails
 
 
 def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_is(track):
@@ -342,7 +342,7 @@ def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
     told = inside(by_part=PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), 0.007))
     (test,), (solution,) = told.tests(6.0, 0.0), told.solutions(estimate, 1e-4, 0.0)
-    assert test.fails(1e-6) == fails
+    assert test.exceeds_risk(1e-6) == fails
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
     levels = levels_of([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)

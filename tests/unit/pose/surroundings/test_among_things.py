@@ -112,7 +112,7 @@ def test_a_first_pose_that_is_a_part_of_a_larger_thing_names_the_unit(monkeypatc
     accepted = Acquisition(Registration(Source.PMD_JOINT, T_sensor_target=POSE, belief=Belief()))
     acquirer = methods().acquirer._acquirer
     monkeypatch.setattr(acquirer, "_searched", lambda *_: accepted)
-    monkeypatch.setattr(acquirer, "_among_rivals", lambda *_: accepted)
+    monkeypatch.setattr(acquirer, "_searched_in_remainder", lambda *_: accepted)
     assert acquirer.acquire(frame("laboratory")).begins_track
     monkeypatch.setattr(acquirer, "_ratio_of_units", lambda *_: 4.0)
     found = acquirer.acquire(frame("laboratory"))
