@@ -9,8 +9,9 @@
    axes. Only small details and materials distinguish them.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
-The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
-until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
+The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result as
+long as the whole frame is likelier there: the edges that it expects are those of a rendering at the pose from
+which it starts.
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
 The tracker aligns the likely rivals as well, because a pose that was not aligned does not show yet how well
 it explains the frame. A rival is excluded if the tracker refuses it. If the alignment moves it close to
@@ -305,11 +306,13 @@ class ViewSearch:
         return self._tracker.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
-        """Return a registration that is aligned again from its own pose, until the pose hardly moves.
+        """Return a registration that is aligned again from its own pose as long as this makes it likelier.
 
         An alignment finds edges that are a pixel from their place only slowly, since they count as outliers
-        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search. A
-        pose that the frame contradicts is not continued, nor is one that is believed less than before.
+        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search.
+        Where the frame tells little, further alignments wander along a valley of the likelihood. So the next
+        pose is taken if it is believed more, or if it is believed as much and the whole frame is likelier
+        there. It is the last one if it hardly moved.
         """
         tuning, radius_m = self._tuning, self._model.target.radius_m
         for _ in range(tuning.settling):
@@ -318,13 +321,20 @@ class ViewSearch:
                 break
             again = self._again(frame, found, before)
             after = again.T_sensor_target
-            if after is None or _standing(again) < _standing(found):
+            if after is None or not self._preferred(frame, again, found):
                 break
             found = again
             moved = moved_px(PoseArrays.of(before), PoseArrays.of(after), radius_m, frame.camera.fx)
             if moved < tuning.settled_px:
                 break
         return found
+
+    def _preferred(self, frame: PmdFrame, again: Registration, found: Registration) -> bool:
+        """Return whether an alignment is believed more than the one before, or as much and is likelier."""
+        if _standing(again) != _standing(found):
+            return _standing(again) > _standing(found)
+        before, after = self._tracker.log_likelihoods(frame, [found, again], ranked_only=True)
+        return bool(after > before)
 
 
 def _standing(found: Registration) -> tuple[bool, bool]:

@@ -152,7 +152,9 @@ class JointTracker:
             (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
         )
 
-    def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
+    def log_likelihoods(
+        self, measurement: PmdFrame, found: Sequence[Registration], *, ranked_only: bool = False
+    ) -> FloatArray:
         """Return the log likelihoods of one frame at registered poses: ports.ComparingTracker.
 
         The depth and the whole image count, with the brightness of each face free (``brightness_fit``), as
@@ -167,7 +169,7 @@ class JointTracker:
         def loss(state: State) -> float:
             return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
 
-        return log_likelihoods(found, loss)
+        return log_likelihoods(found, loss, ranked_only=ranked_only)
 
     def _likeliest(
         self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"

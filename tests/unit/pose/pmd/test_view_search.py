@@ -90,7 +90,7 @@ def test_an_accepted_pose_is_aligned_with_the_edges_too():
 class Uncomparing:
     """A tracker to which all poses are equally likely."""
 
-    def log_likelihoods(self, _, found):
+    def log_likelihoods(self, _, found, **__):
         return np.zeros(len(found))
 
 
@@ -106,10 +106,15 @@ def test_what_the_tracker_does_not_believe_is_refused():
 
 
 class HalfTheWay(Uncomparing):
-    """A tracker whose every alignment leaves half of the pose's error."""
+    """A tracker whose every alignment leaves half of the pose's error.
 
-    def __init__(self, *beliefs: Belief) -> None:
-        self._beliefs, self.poses = iter(beliefs), []
+    Args:
+        beliefs: beliefs in the alignments; those after them are accepted.
+        likelier: number of the alignments of which each is likelier than the one before.
+    """
+
+    def __init__(self, *beliefs: Belief, likelier: int) -> None:
+        self._beliefs, self._likelier, self.poses = iter(beliefs), likelier, []
 
     def track(self, _, T_sensor_target):
         off_m = T_sensor_target.translation - OBLIQUE.translation
@@ -118,10 +123,14 @@ class HalfTheWay(Uncomparing):
         belief = next(self._beliefs, Belief())
         return Registration(Source.PMD_JOINT, T, belief, covariance=1e-6 * np.eye(6))
 
+    def log_likelihoods(self, _, found, **__):
+        numbers = [index for each in found for index, T in enumerate(self.poses) if T is each.T_sensor_target]
+        return np.array([number if number < self._likelier else -number for number in numbers], float)
 
-def settled(*beliefs: Belief) -> tuple[RigidTransform | None, list[RigidTransform]]:
+
+def settled(*beliefs: Belief, likelier: int = 100) -> tuple[RigidTransform | None, list[RigidTransform]]:
     """Return the pose of a search, and those of the alignments of its first pose alone."""
-    tracker, alone = HalfTheWay(*beliefs), PmdAcquisitionTuning(rival_losses=1.0)
+    tracker, alone = HalfTheWay(*beliefs, likelier=likelier), PmdAcquisitionTuning(rival_losses=1.0)
     search = ViewSearch(PmdAcquisitionConfig(tuning=alone), target("mockup"), tracker)
     return search.acquire(seen("mockup", OBLIQUE)).pose, tracker.poses
 
@@ -135,6 +144,13 @@ def test_a_first_pose_is_aligned_again_until_it_settles():
     assert 2 <= len(aligned) <= 1 + tuning.settling
     assert moves_px[-1] < tuning.settled_px or len(aligned) == 1 + tuning.settling
     assert all(move >= tuning.settled_px for move in moves_px[:-1])
+
+
+@pytest.mark.parametrize("likelier", [1, 2])
+def test_an_alignment_at_which_the_frame_is_no_likelier_ends_them_and_is_not_used(likelier):
+    pose, aligned = settled(likelier=likelier)
+    assert len(aligned) == likelier + 1
+    assert pose is aligned[likelier - 1]
 
 
 @pytest.mark.parametrize("belief", [contradicted, doubtful])
@@ -164,7 +180,7 @@ class Judging(Uncomparing):
 class Oblique(Judging):
     """A judging tracker to which a pose is the likelier, the nearer its attitude is to the true one."""
 
-    def log_likelihoods(self, _, found):
+    def log_likelihoods(self, _, found, **__):
         return -np.array([attitude_error_deg(OBLIQUE, each.T_sensor_target) for each in found])
 
 
@@ -247,7 +263,7 @@ def test_a_refused_pose_must_be_better_than_noise_makes_it_and_by_the_whole_fram
     refused = aligned_pose(turn_deg, (100.0 - gain, 200.0), contradicted("it led away"))
     judge = tracker()
     if tracker is Judging:
-        judge.log_likelihoods = lambda _, found: np.arange(len(found))
+        judge.log_likelihoods = lambda _, found, **__: np.arange(len(found))
     search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), judge)
     found = search._better(seen("mockup", OBLIQUE), best, [best, refused], 1.0)
     assert found == ("it led away" if better else "")
