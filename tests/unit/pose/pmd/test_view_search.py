@@ -8,12 +8,14 @@ import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd import view_search
-from rpod_pose.pmd.fit import PmdFit
+from rpod_pose.pmd.fit import PmdFit, PmdFitter
 from rpod_pose.pmd.frame_search import Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
-from rpod_pose.pmd.view_search import ViewSearch, _Aligned
+from rpod_pose.pmd.scene import scene_of
+from rpod_pose.pmd.view_search import ViewSearch, _Aligned, _Task
 from rpod_pose.ports import Outcome, Registration
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
@@ -162,6 +164,51 @@ def test_an_alignment_that_is_believed_less_than_the_one_before_is_not_used(beli
 def test_an_alignment_may_be_believed_more_than_the_one_before():
     pose, aligned = settled(doubtful("few edges are in their place"), Belief())
     assert pose is aligned[-1]
+
+
+def longer(frame: PmdFrame, bias_m: float) -> PmdFrame:
+    """Return a frame whose ranges are longer by a length."""
+    along = RayGrid.pinhole(frame.camera).components[2]
+    return frame_of(frame.depth_m + bias_m * along, amplitude=frame.amplitude, camera=frame.camera)
+
+
+@pytest.mark.parametrize(("range_m", "bias_m"), [(1.8, 0.065), (1.8, -0.065), (1.8, 0.0), (6.0, 0.065)])
+def test_the_outline_tells_the_bias_of_the_ranges_where_it_moves_the_outline(range_m, bias_m):
+    search, T = searching("mockup"), make_pose(rotation=OBLIQUE.rotation, translation_m=(0.0, 0.0, range_m))
+    frame, t = longer(seen("mockup", T), bias_m), T.translation * (1.0 + bias_m / range_m)
+    scene = scene_of(frame, search._tuning.scene, radius_m=target("mockup").radius_m)
+    fitter = PmdFitter(search._tuning.model, search._model.shown, scene)
+    R = T.rotation.as_matrix()
+    found_m = search._bias_m(
+        _Task(frame, scene, np.empty((0, 3, 3), np.float32), None), fitter, Pose(R, t, fitter.fit(R, t)), 0.1
+    )
+    camera = frame.camera
+    step_m = scene.view.stride * range_m**2 / camera.fx / target("mockup").radius_m
+    assert found_m == pytest.approx(bias_m if range_m < 6.0 else 0.0, abs=0.75 * step_m)
+    assert found_m != 0.0 or range_m == 6.0 or bias_m == 0.0
+
+
+class FromTheBias(Uncomparing):
+    """A tracker that accepts poses at a distance alone, and leaves each pose as it is."""
+
+    def __init__(self, accepted_m: float) -> None:
+        self._accepted_m = accepted_m
+
+    def track(self, _, T_sensor_target):
+        near = abs(np.linalg.norm(T_sensor_target.translation) - self._accepted_m) < 0.01
+        belief = Belief() if near else contradicted("edges are elsewhere")
+        return Registration(Source.PMD_JOINT, T_sensor_target, belief, covariance=1e-6 * np.eye(6))
+
+
+@pytest.mark.parametrize("accepted_m", [4.0, 3.95])
+def test_a_pose_is_aligned_where_the_outline_shows_it_and_else_where_the_depth_does(accepted_m):
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), FromTheBias(accepted_m))
+    frame, R = seen("mockup", OBLIQUE), OBLIQUE.rotation.as_matrix()
+    pose = Pose(R, np.array((0.0, 0.0, 4.0)), PmdFit(100.0, pixels=1000))
+    task = _Task(frame, None, np.empty((0, 3, 3), np.float32), None)
+    result = search._registered(task, pose, 0.05)
+    assert result.belief.level is BeliefLevel.ACCEPTED
+    assert result.T_sensor_target.translation[2] == pytest.approx(accepted_m)
 
 
 class Judging(Uncomparing):
