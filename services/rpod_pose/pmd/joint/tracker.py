@@ -164,8 +164,7 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str) or len(found) == 1:
             return np.zeros(len(found))
-        sight = self._sights(seen).without_edges(pose)
-        problem = self._problem(seen, sight, self._near[-1:], self._edge_errors)
+        problem = self._problem(seen, self._sights(seen).blank(pose), self._near[-1:], self._edge_errors)
 
         def loss(state: State) -> float:
             return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
