@@ -260,8 +260,16 @@ class Tracker(Protocol, Generic[MeasurementT_contra]):
 class ComparingTracker(Tracker[MeasurementT_contra], Protocol[MeasurementT_contra]):
     """A tracker that compares how well several poses explain a frame."""
 
-    def log_likelihoods(self, measurement: MeasurementT_contra, found: Sequence[Registration]) -> FloatArray:
-        """Return the log likelihoods of one frame at poses registered in it, shape (N,), up to a constant."""
+    def log_likelihoods(
+        self, measurement: MeasurementT_contra, found: Sequence[Registration], *, ranked_only: bool = False
+    ) -> FloatArray:
+        """Return the log likelihoods of one frame at poses registered in it, shape (N,), up to a constant.
+
+        Args:
+            measurement: the frame.
+            found: the registrations.
+            ranked_only: whether only the order of the values counts, which takes less time.
+        """
         ...
 
 

@@ -24,14 +24,12 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
-from rpod_pose.registration.brightness import albedos, spreads
 from rpod_pose.registration.lie_group import PoseArrays, turned
+from rpod_pose.search.simpler_surface import Surface
 from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
-from rpod_target.tables import Tables, kept_of
 
 STEEPEST = 0.1
 """Least cosine of incidence in the effect of the slack along the ray. Numerics: it avoids a division by zero;
@@ -46,62 +44,8 @@ median."""
 MARGIN = 6
 """Rows and columns beside the lit pixels that a pose may reach. Numerics: a budget; a pose that moves farther
 is compared with fewer pixels."""
-SIMPLER = 1_500, 4_000, 10_000
-"""Numbers of triangles to which a mesh is simplified, the fewest that suffice. Numerics: hundreds of poses
-are rendered in a search."""
-SIMPLER_SHARE = 0.005
-"""Greatest error of that, over the longest side. Numerics: a fifth of a coarse pixel, of which 40 are on the
-target."""
-LEAST_AREA = 1e-30
-"""Least area in a division, m2. Numerics: it avoids a division by zero."""
 GAIN_STRIDE = 3
 """Stride of the pixels from which the gain is estimated. Numerics: a budget of computation."""
-
-
-def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return few triangles that stand for those of a target, and which one each stands for."""
-    every = target.triangles_m
-    if len(every) <= SIMPLER[0]:
-        return every, np.arange(len(every))
-
-    def make() -> Tables:
-        from rpod_target.mesh.simplification import simplified  # noqa: PLC0415 - Open3D takes 0.7 s of a start
-
-        size_m = float(np.ptp(every.reshape(-1, 3), axis=0).max())
-        triangles_m, which, _ = simplified(every, largest_error=SIMPLER_SHARE * size_m, steps=SIMPLER)
-        return {"triangles_m": triangles_m, "which": which}
-
-    found = kept_of(target, "simpler", 1, (every, SIMPLER, SIMPLER_SHARE), make)
-    return found["triangles_m"], found["which"]
-
-
-class Surface(NamedTuple):
-    """The target with its expected brightness, simplified within a fraction of a coarse pixel."""
-
-    triangles_m: FloatArray
-    """Corners, target axes, shape (T, 3, 3)."""
-    normals: FloatArray
-    """Outward unit normals, target axes, shape (T, 3)."""
-    albedo: FloatArray
-    """Median albedo of each triangle's class, shape (T,)."""
-    sigma_log: FloatArray
-    """Standard deviation of the albedo's logarithm, shape (T,)."""
-    radius_m: float
-    """Distance of the target's farthest point from its origin."""
-
-    @classmethod
-    def of(cls, target: Target) -> "Surface":
-        """Return the surface of a target."""
-        triangles_m, which = _simpler(target)
-        normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), LEAST_AREA)
-        return cls(
-            np.ascontiguousarray(triangles_m),
-            normals,
-            albedos(target)[which],
-            spreads(target)[which],
-            target.radius_m,
-        )
 
 
 class Seen(NamedTuple):
@@ -230,10 +174,14 @@ class PmdFitter:
             ),
         )
 
-    def fit(self, R: FloatArray, t: FloatArray) -> PmdFit:
-        """Return the loss of the pose R, t of the target in the sensor."""
+    def fit(self, R: FloatArray, t: FloatArray, *, bias_m: float = 0.0) -> PmdFit:
+        """Return the loss of a pose R, t of the target, if all ranges are ``bias_m`` too long."""
         step()
-        return PmdFit(*compare(self._compared, R, t))
+        compared, seen = self._compared, self._compared.seen
+        if bias_m:
+            range_m = np.where(seen.range_m > 0.0, seen.range_m - np.float32(bias_m), np.float32(0.0))
+            compared = compared._replace(seen=seen._replace(range_m=range_m))
+        return PmdFit(*compare(compared, R, t))
 
     def outline_refined(
         self, R: FloatArray, t: FloatArray, deviations: FloatArray, draws: FloatArray

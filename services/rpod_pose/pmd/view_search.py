@@ -9,8 +9,9 @@
    axes. Only small details and materials distinguish them.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
-The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result
-until the pose settles: the edges that it expects are those of a rendering at the pose from which it starts.
+The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result as
+long as the whole frame is likelier there: the edges that it expects are those of a rendering at the pose from
+which it starts.
 Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
 The tracker aligns the likely rivals as well, because a pose that was not aligned does not show yet how well
 it explains the frame. A rival is excluded if the tracker refuses it. If the alignment moves it close to
@@ -36,6 +37,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri, logit, softmax
 
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
@@ -53,6 +55,11 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
+MOST_BIAS_SIGMAS = 2.0
+"""Greatest bias of the ranges that is tried, in standard deviations. Physics: 95 % of normal errors are
+smaller."""
+MOST_BIASES = 8
+"""Greatest number of biases that are tried to each side. Numerics: a budget of computation."""
 MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
 """Greatest drop of the log likelihood by an alignment. Physics: six parameters of the pose may have been
 fitted to the noise before, and a likelihood-ratio test at 99 % allows for them."""
@@ -266,7 +273,8 @@ class ViewSearch:
         The alignment is contradicted if it led from a pose that explains the frame to one that does not, by
         the coarse pixels and by the whole frame. A log likelihood is ``per_loss`` times a loss.
         """
-        found, start = self._registered(task, pose), PoseArrays(pose.R, pose.t)
+        bias_m = self._bias_m(task, fitter, pose, per_loss)
+        found, start = self._registered(task, pose, bias_m), PoseArrays(pose.R, pose.t)
         if found.T_sensor_target is None:
             return _Aligned(*start, found, np.array((pose.fit.loss, np.inf)), start)
         R, t = PoseArrays.of(found.T_sensor_target)
@@ -292,11 +300,48 @@ class ViewSearch:
             frame, pose_of(pose.R, pose.t)
         )
 
-    def _registered(self, task: _Task, pose: Pose) -> Registration:
-        """Return a pose that the search found, refined and checked by the tracker."""
-        found = self._settled(task.frame, self._tracker.track(task.frame, pose_of(pose.R, pose.t)))
+    def _bias_m(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> float:
+        """Return the likeliest length by which all ranges are too long, m, at a pose of the search.
+
+        The search has placed the target where the depth shows it. The error that all ranges share may move
+        the outline by more than the reach of the tracker's search for edges. Moved along the sight with it,
+        the target fits the depth as before, and the outline, which no bias moves, decides. 0 where the bias
+        moves the outline by less than a coarse pixel.
+        """
+        sigma_m, range_m = self._tuning.model.sigma_m, max(float(np.linalg.norm(pose.t)), NEAREST_M)
+        radius_px = task.frame.camera.fx * self._model.target.radius_m / max(float(pose.t[2]), NEAREST_M)
+        step_m = task.scene.view.stride * range_m / radius_px
+        number = int(min(MOST_BIAS_SIGMAS * sigma_m / step_m, MOST_BIASES))
+        if not number:
+            return 0.0
+        biases_m = step_m * np.arange(-number, number + 1)
+        misfits = [
+            per_loss * fitter.fit(pose.R, pose.t * (1.0 - bias_m / range_m), bias_m=bias_m).loss
+            + 0.5 * (bias_m / sigma_m) ** 2
+            for bias_m in biases_m.tolist()
+        ]
+        return float(biases_m[int(np.argmin(misfits))])
+
+    def _registered(self, task: _Task, pose: Pose, bias_m: float) -> Registration:
+        """Return a pose that the search found, refined and checked by the tracker.
+
+        Args:
+            task: the frame.
+            pose: the pose where the depth shows it.
+            bias_m: length by which all ranges may be too long. The pose without it is tried too if the one
+                with it is not accepted.
+        """
+        found = self._settled(task.frame, self._tracked(task.frame, pose, bias_m))
+        if bias_m and found.belief.level is not BeliefLevel.ACCEPTED:
+            other = self._settled(task.frame, self._tracked(task.frame, pose, 0.0))
+            found = max(found, other, key=_standing)
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))
+
+    def _tracked(self, frame: PmdFrame, pose: Pose, bias_m: float) -> Registration:
+        """Return the tracker's registration from a pose of the search, nearer by a bias of the ranges."""
+        t = pose.t * (1.0 - bias_m / float(np.linalg.norm(pose.t)))
+        return self._tracker.track(frame, pose_of(pose.R, t))
 
     def _again(self, frame: PmdFrame, found: Registration, pose: RigidTransform) -> Registration:
         """Return a registration aligned again from its own pose."""
@@ -305,11 +350,13 @@ class ViewSearch:
         return self._tracker.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
-        """Return a registration that is aligned again from its own pose, until the pose hardly moves.
+        """Return a registration that is aligned again from its own pose as long as this makes it likelier.
 
         An alignment finds edges that are a pixel from their place only slowly, since they count as outliers
-        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search. A
-        pose that the frame contradicts is not continued, nor is one that is believed less than before.
+        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search.
+        Where the frame tells little, further alignments wander along a valley of the likelihood. So the next
+        pose is taken if it is believed more, or if it is believed as much and the whole frame is likelier
+        there. It is the last one if it hardly moved.
         """
         tuning, radius_m = self._tuning, self._model.target.radius_m
         for _ in range(tuning.settling):
@@ -318,13 +365,20 @@ class ViewSearch:
                 break
             again = self._again(frame, found, before)
             after = again.T_sensor_target
-            if after is None or _standing(again) < _standing(found):
+            if after is None or not self._preferred(frame, again, found):
                 break
             found = again
             moved = moved_px(PoseArrays.of(before), PoseArrays.of(after), radius_m, frame.camera.fx)
             if moved < tuning.settled_px:
                 break
         return found
+
+    def _preferred(self, frame: PmdFrame, again: Registration, found: Registration) -> bool:
+        """Return whether an alignment is believed more than the one before, or as much and is likelier."""
+        if _standing(again) != _standing(found):
+            return _standing(again) > _standing(found)
+        before, after = self._tracker.log_likelihoods(frame, [found, again], ranked_only=True)
+        return bool(after > before)
 
 
 def _standing(found: Registration) -> tuple[bool, bool]:

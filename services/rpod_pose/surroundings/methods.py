@@ -111,11 +111,13 @@ class TrackerAmongThings(Generic[FrameT]):
         sight = with_target_at(image, self.target, T_sensor_target, margin)
         return _unlike(sight, self._most_unexplained(image, T_sensor_target))
 
-    def log_likelihoods(self, measurement: FrameT, found: Sequence[Registration]) -> FloatArray:
+    def log_likelihoods(
+        self, measurement: FrameT, found: Sequence[Registration], *, ranked_only: bool = False
+    ) -> FloatArray:
         """Return the log likelihoods of one frame at registered poses; 0 if the tracker compares none."""
         if not isinstance(self._tracker, ComparingTracker):
             return np.zeros(len(found))
-        return self._tracker.log_likelihoods(measurement, found)
+        return self._tracker.log_likelihoods(measurement, found, ranked_only=ranked_only)
 
     def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
         """Return what a found pose leaves of a frame, at the widest margin."""

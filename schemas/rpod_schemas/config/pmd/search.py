@@ -115,8 +115,8 @@ class PmdAcquisitionTuning(Tuning):
     """Greatest ratio of a pose's loss to that of the best one up to which the tracker aligns it as well, so
     that both are compared again."""
     settling: Annotated[int, Field(ge=0), BUDGET] = 6
-    """Greatest number of further alignments of a first pose, each from the last one's result, until it
-    settles."""
+    """Greatest number of further alignments of a first pose, each from the last one's result, as long as the
+    frame is likelier there and the pose has not settled."""
     settled_px: Annotated[
         Positive, Provenance("numerics", "a third of the least standard deviation of an edge's position")
     ] = 0.1

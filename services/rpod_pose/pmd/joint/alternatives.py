@@ -127,7 +127,9 @@ def poses_of(found: Sequence[Registration]) -> list[PoseArrays]:
     return [PoseArrays.of(each.T_sensor_target) for each in found if each.T_sensor_target is not None]
 
 
-def log_likelihoods(found: Sequence[Registration], loss: Callable[[State], float]) -> FloatArray:
+def log_likelihoods(
+    found: Sequence[Registration], loss: Callable[[State], float], *, ranked_only: bool = False
+) -> FloatArray:
     """Return the log likelihoods of one frame at registered poses, shape (N,), up to a constant.
 
     The losses compare the image as if model, lens and rendering were right to a fraction of a pixel. They are
@@ -139,10 +141,13 @@ def log_likelihoods(found: Sequence[Registration], loss: Callable[[State], float
     Args:
         found: the poses, each with its range bias and covariance.
         loss: minus the log likelihood of a pose, which may be too steep.
+        ranked_only: whether the order of the poses is all that counts. Then the losses are not divided.
     """
     biases_m = (each.range_bias_m for each in found)
     states = [State(*each) for each in zip(poses_of(found), biases_m, strict=True)]
     losses = np.array([loss(state) for state in states])
+    if ranked_only:
+        return -losses
     best = int(losses.argmin())
     (R, t), bias_m = states[best]
     ray, covariance = t / np.linalg.norm(t), found[best].covariance

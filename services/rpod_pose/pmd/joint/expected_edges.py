@@ -332,6 +332,12 @@ class Sights:
         self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
         return self._known[-1]
 
+    def blank(self, pose: PoseArrays) -> EdgeSight:
+        """Return a sight at a pose without any edge, for what needs the depth alone; nothing is rendered."""
+        none, frame = np.empty(0), self._frame
+        expected = ExpectedEdges(pose, np.empty(0, np.int64), none, none, none, np.empty(0, np.bool_))
+        return EdgeSight(self._edges, frame.lens, frame.patch, expected)
+
 
 @kernel
 def nearby_m(shown: Shown, i: int, j: int) -> float:

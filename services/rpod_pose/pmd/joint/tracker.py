@@ -155,7 +155,9 @@ class JointTracker:
             (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
         )
 
-    def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
+    def log_likelihoods(
+        self, measurement: PmdFrame, found: Sequence[Registration], *, ranked_only: bool = False
+    ) -> FloatArray:
         """Return the log likelihoods of one frame at registered poses: ports.ComparingTracker.
 
         The depth and the whole image count, with the brightness of each face free (``brightness_fit``), as
@@ -165,12 +167,12 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str) or len(found) == 1:
             return np.zeros(len(found))
-        problem = self._problem(seen, self._sights(seen).at(pose), self._near[-1:], self._edge_errors)
+        problem = self._problem(seen, self._sights(seen).blank(pose), self._near[-1:], self._edge_errors)
 
         def loss(state: State) -> float:
             return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
 
-        return log_likelihoods(found, loss)
+        return log_likelihoods(found, loss, ranked_only=ranked_only)
 
     def _likeliest(
         self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"

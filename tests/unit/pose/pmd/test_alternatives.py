@@ -226,6 +226,13 @@ def test_a_loss_that_is_steeper_than_the_covariance_is_no_more_evidence_than_thi
     assert logs[0] - logs[1] == pytest.approx(8.0 * kept, rel=0.35)
 
 
+def test_where_only_the_order_of_poses_counts_each_is_compared_once() -> None:
+    found = [Registration(Source.PMD_JOINT, T, covariance=np.diag(SIGMAS**2)) for T in (TRUTH, TRUTH)]
+    losses = [7.0, 3.0]
+    logs = log_likelihoods(found, lambda _: losses.pop(0), ranked_only=True)
+    assert logs.tolist() == [-7.0, -3.0]
+
+
 def test_a_frame_is_rendered_again_only_where_the_target_has_moved_in_it() -> None:
     sights, seen = TRACKER._sights(prepared(FRAME)), prepared(FRAME)
     across_m = seen.away_m / seen.lens.fx

@@ -8,12 +8,14 @@ import pytest
 from pmd_frames import depth_frame, frame_of, strange_frames
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd import view_search
-from rpod_pose.pmd.fit import PmdFit
+from rpod_pose.pmd.fit import PmdFit, PmdFitter
 from rpod_pose.pmd.frame_search import Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
-from rpod_pose.pmd.view_search import ViewSearch, _Aligned
+from rpod_pose.pmd.scene import scene_of
+from rpod_pose.pmd.view_search import ViewSearch, _Aligned, _Task
 from rpod_pose.ports import Outcome, Registration
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import even_directions
@@ -90,7 +92,7 @@ def test_an_accepted_pose_is_aligned_with_the_edges_too():
 class Uncomparing:
     """A tracker to which all poses are equally likely."""
 
-    def log_likelihoods(self, _, found):
+    def log_likelihoods(self, _, found, **__):
         return np.zeros(len(found))
 
 
@@ -106,10 +108,15 @@ def test_what_the_tracker_does_not_believe_is_refused():
 
 
 class HalfTheWay(Uncomparing):
-    """A tracker whose every alignment leaves half of the pose's error."""
+    """A tracker whose every alignment leaves half of the pose's error.
 
-    def __init__(self, *beliefs: Belief) -> None:
-        self._beliefs, self.poses = iter(beliefs), []
+    Args:
+        beliefs: beliefs in the alignments; those after them are accepted.
+        likelier: number of the alignments of which each is likelier than the one before.
+    """
+
+    def __init__(self, *beliefs: Belief, likelier: int) -> None:
+        self._beliefs, self._likelier, self.poses = iter(beliefs), likelier, []
 
     def track(self, _, T_sensor_target):
         off_m = T_sensor_target.translation - OBLIQUE.translation
@@ -118,10 +125,14 @@ class HalfTheWay(Uncomparing):
         belief = next(self._beliefs, Belief())
         return Registration(Source.PMD_JOINT, T, belief, covariance=1e-6 * np.eye(6))
 
+    def log_likelihoods(self, _, found, **__):
+        numbers = [index for each in found for index, T in enumerate(self.poses) if T is each.T_sensor_target]
+        return np.array([number if number < self._likelier else -number for number in numbers], float)
 
-def settled(*beliefs: Belief) -> tuple[RigidTransform | None, list[RigidTransform]]:
+
+def settled(*beliefs: Belief, likelier: int = 100) -> tuple[RigidTransform | None, list[RigidTransform]]:
     """Return the pose of a search, and those of the alignments of its first pose alone."""
-    tracker, alone = HalfTheWay(*beliefs), PmdAcquisitionTuning(rival_losses=1.0)
+    tracker, alone = HalfTheWay(*beliefs, likelier=likelier), PmdAcquisitionTuning(rival_losses=1.0)
     search = ViewSearch(PmdAcquisitionConfig(tuning=alone), target("mockup"), tracker)
     return search.acquire(seen("mockup", OBLIQUE)).pose, tracker.poses
 
@@ -137,6 +148,13 @@ def test_a_first_pose_is_aligned_again_until_it_settles():
     assert all(move >= tuning.settled_px for move in moves_px[:-1])
 
 
+@pytest.mark.parametrize("likelier", [1, 2])
+def test_an_alignment_at_which_the_frame_is_no_likelier_ends_them_and_is_not_used(likelier):
+    pose, aligned = settled(likelier=likelier)
+    assert len(aligned) == likelier + 1
+    assert pose is aligned[likelier - 1]
+
+
 @pytest.mark.parametrize("belief", [contradicted, doubtful])
 def test_an_alignment_that_is_believed_less_than_the_one_before_is_not_used(belief):
     pose, aligned = settled(Belief(), belief("edges are elsewhere"))
@@ -146,6 +164,51 @@ def test_an_alignment_that_is_believed_less_than_the_one_before_is_not_used(beli
 def test_an_alignment_may_be_believed_more_than_the_one_before():
     pose, aligned = settled(doubtful("few edges are in their place"), Belief())
     assert pose is aligned[-1]
+
+
+def longer(frame: PmdFrame, bias_m: float) -> PmdFrame:
+    """Return a frame whose ranges are longer by a length."""
+    along = RayGrid.pinhole(frame.camera).components[2]
+    return frame_of(frame.depth_m + bias_m * along, amplitude=frame.amplitude, camera=frame.camera)
+
+
+@pytest.mark.parametrize(("range_m", "bias_m"), [(1.8, 0.065), (1.8, -0.065), (1.8, 0.0), (6.0, 0.065)])
+def test_the_outline_tells_the_bias_of_the_ranges_where_it_moves_the_outline(range_m, bias_m):
+    search, T = searching("mockup"), make_pose(rotation=OBLIQUE.rotation, translation_m=(0.0, 0.0, range_m))
+    frame, t = longer(seen("mockup", T), bias_m), T.translation * (1.0 + bias_m / range_m)
+    scene = scene_of(frame, search._tuning.scene, radius_m=target("mockup").radius_m)
+    fitter = PmdFitter(search._tuning.model, search._model.shown, scene)
+    R = T.rotation.as_matrix()
+    found_m = search._bias_m(
+        _Task(frame, scene, np.empty((0, 3, 3), np.float32), None), fitter, Pose(R, t, fitter.fit(R, t)), 0.1
+    )
+    camera = frame.camera
+    step_m = scene.view.stride * range_m**2 / camera.fx / target("mockup").radius_m
+    assert found_m == pytest.approx(bias_m if range_m < 6.0 else 0.0, abs=0.75 * step_m)
+    assert found_m != 0.0 or range_m == 6.0 or bias_m == 0.0
+
+
+class FromTheBias(Uncomparing):
+    """A tracker that accepts poses at a distance alone, and leaves each pose as it is."""
+
+    def __init__(self, accepted_m: float) -> None:
+        self._accepted_m = accepted_m
+
+    def track(self, _, T_sensor_target):
+        near = abs(np.linalg.norm(T_sensor_target.translation) - self._accepted_m) < 0.01
+        belief = Belief() if near else contradicted("edges are elsewhere")
+        return Registration(Source.PMD_JOINT, T_sensor_target, belief, covariance=1e-6 * np.eye(6))
+
+
+@pytest.mark.parametrize("accepted_m", [4.0, 3.95])
+def test_a_pose_is_aligned_where_the_outline_shows_it_and_else_where_the_depth_does(accepted_m):
+    search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), FromTheBias(accepted_m))
+    frame, R = seen("mockup", OBLIQUE), OBLIQUE.rotation.as_matrix()
+    pose = Pose(R, np.array((0.0, 0.0, 4.0)), PmdFit(100.0, pixels=1000))
+    task = _Task(frame, None, np.empty((0, 3, 3), np.float32), None)
+    result = search._registered(task, pose, 0.05)
+    assert result.belief.level is BeliefLevel.ACCEPTED
+    assert result.T_sensor_target.translation[2] == pytest.approx(accepted_m)
 
 
 class Judging(Uncomparing):
@@ -164,7 +227,7 @@ class Judging(Uncomparing):
 class Oblique(Judging):
     """A judging tracker to which a pose is the likelier, the nearer its attitude is to the true one."""
 
-    def log_likelihoods(self, _, found):
+    def log_likelihoods(self, _, found, **__):
         return -np.array([attitude_error_deg(OBLIQUE, each.T_sensor_target) for each in found])
 
 
@@ -247,7 +310,7 @@ def test_a_refused_pose_must_be_better_than_noise_makes_it_and_by_the_whole_fram
     refused = aligned_pose(turn_deg, (100.0 - gain, 200.0), contradicted("it led away"))
     judge = tracker()
     if tracker is Judging:
-        judge.log_likelihoods = lambda _, found: np.arange(len(found))
+        judge.log_likelihoods = lambda _, found, **__: np.arange(len(found))
     search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), judge)
     found = search._better(seen("mockup", OBLIQUE), best, [best, refused], 1.0)
     assert found == ("it led away" if better else "")
