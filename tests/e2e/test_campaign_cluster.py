@@ -83,18 +83,18 @@ def test_another_packages_campaign_is_in_the_catalogue():
     assert find("counting") is CAMPAIGN
 
 
-def test_pool_one_worker_and_four_give_the_same_rows(tmp_path, dask):
+def test_pool_one_worker_and_three_give_the_same_rows(tmp_path, dask):
     options = {"trials": 300, "ranges": (1.0, 2.0, 3.0)}
     pool = rows_of(run_campaign(counting(tmp_path / "pool", **options), ProcessPool(2)))
     dask.start_worker("first")
     one = counting(tmp_path / "one", **options)
     assert rows_of(run_campaign(one, Cluster(dask.address))).equals(pool)
-    for number in range(3):
+    for number in range(2):
         dask.start_worker(f"worker-{number}")
-    four = counting(tmp_path / "four", **options)
-    assert rows_of(run_campaign(four, Cluster(dask.address))).equals(pool)
+    three = counting(tmp_path / "three", **options)
+    assert rows_of(run_campaign(three, Cluster(dask.address))).equals(pool)
     assert once(one)
-    assert once(four)
+    assert once(three)
 
 
 def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twice(tmp_path, dask):
@@ -259,12 +259,20 @@ def test_a_target_whose_file_is_on_the_clients_machine_alone_is_sent(tmp_path, w
     assert rows.equals(rows_of(run_campaign(near, ProcessPool(1))))
 
 
-def test_a_scheduler_that_is_not_there_is_named(tmp_path):
+def test_a_scheduler_that_is_not_there_is_named_as_soon_as_it_says(tmp_path, monkeypatch):
+    tried_s, client = [], cluster_module.Client
+
+    def tried(*arguments, timeout, **options):
+        tried_s.append(timeout)
+        return client(*arguments, timeout=timeout, **options)
+
+    monkeypatch.setattr(cluster_module, "Client", tried)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(NoSchedulerError, match=f"{address}: no scheduler answers after 1 s"):
         run_campaign(counting(tmp_path), Cluster(address, patience_s=1.0))
+    assert max(tried_s) <= 1.0, "one attempt does not take longer than the patience"
 
 
 def test_the_script_for_slurm_runs_a_campaign(tmp_path, site):

@@ -32,6 +32,7 @@ _REMOTE = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
 PATIENCE_S = 60.0
 """Longest wait for a scheduler, or for a worker, s."""
 _CONNECT_S = 5.0
+"""Longest attempt to reach a scheduler, s."""
 
 
 def check_address(address: str) -> None:
@@ -97,10 +98,10 @@ class Cluster:
                 client.close()  # type: ignore[no-untyped-call]
 
     def _connected(self, address: str) -> Client:
-        begin_s = time.monotonic()
+        begin_s, tried_s = time.monotonic(), min(_CONNECT_S, self._patience_s)
         while True:
             try:
-                return Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+                return Client(address, timeout=tried_s, set_as_default=False)  # type: ignore[no-untyped-call]
             except (OSError, TimeoutError) as error:
                 waited_s = time.monotonic() - begin_s
                 if waited_s > self._patience_s:
