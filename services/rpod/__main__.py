@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from rpod import __version__
 from rpod.calibrate.verbs import calibrate_verbs
 from rpod.campaign.verbs import campaign_verbs
+from rpod.deferred_imports import import_when_used
 from rpod.driver.verbs import driver_verbs
 from rpod.host_verbs import host_verbs
 from rpod.log_options import NoLimits
@@ -67,6 +68,7 @@ def main() -> None:
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a crash of compiled code tells in which call
     process_starts()
+    import_when_used("numpy.f2py", "numpy.testing")
     try:
         app()
     except ModuleNotFoundError as error:
