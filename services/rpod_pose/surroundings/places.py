@@ -225,6 +225,11 @@ def at_border(surface: NDArray[np.bool_]) -> bool:
     return bool(surface[0].any() or surface[-1].any() or surface[:, 0].any() or surface[:, -1].any())
 
 
+def fills_view(surface: NDArray[np.bool_]) -> bool:
+    """Return whether a surface, shape (rows, columns), reaches all four borders of the image."""
+    return bool(surface[0].any() and surface[-1].any() and surface[:, 0].any() and surface[:, -1].any())
+
+
 def _fits(points_m: FloatArray, radius_m: float) -> bool:
     """Return whether points, shape (N, 3), extend as far as those of a visible target may."""
     extent_m = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)

@@ -13,6 +13,7 @@ from rpod_pose.methods import methods_of
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
+from rpod_pose.surroundings.other_unit import other_units
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
@@ -106,6 +107,14 @@ def test_a_part_of_what_is_the_target_in_another_unit_is_not_the_target(name, ra
     pose = make_pose(rotation=POSE.rotation, translation_m=ratio * POSE.translation)
     accepted = Acquisition(Registration(Source.PMD_JOINT, T_sensor_target=pose))
     assert acquirer._ratio_of_units(seen, frames.image(seen, fine=False), accepted) == told
+
+
+def test_a_room_that_fills_the_view_is_the_target_in_no_unit():
+    """Nothing shows how large it is, and divided by ten it lies within the error of the ranges."""
+    image, radius_m = PmdFrames().image(frame("laboratory"), fine=False), load_target("mockup").radius_m
+    assert not list(other_units(image, radius_m, POSE.translation))
+    alone = PmdFrames().image(times("none", 10.0), fine=False)
+    assert 10.0 in [each.ratio for each in other_units(alone, radius_m, 10.0 * POSE.translation)]
 
 
 def test_a_first_pose_that_is_a_part_of_a_larger_thing_names_the_unit(monkeypatch):
