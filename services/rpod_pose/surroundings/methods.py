@@ -283,6 +283,9 @@ class AcquirerAmongThings(Generic[FrameT]):
         assert found.pose is not None  # noqa: S101 - it is accepted
         for ratio, thing in other_units(image, radius_m, found.pose.translation):
             scaled = frames.nearer(measurement, ratio)
+            others = np.count_nonzero((image.range_m > 0.0) & ~thing)
+            if others > np.count_nonzero(thing) and self._tracker.cluttered(scaled) is None:
+                continue  # in this unit all of a room would be within the target's size
             if self._in_part(scaled, nearer(image, ratio), thing).outcome is not Outcome.FAILED:
                 return ratio
         return 0.0

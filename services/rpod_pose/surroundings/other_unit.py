@@ -4,8 +4,8 @@ If a driver gives its depths in another unit than the configuration says, the ta
 ratio of both units, and a part of it may look like the target. With an arm that holds the target, or a wall
 that touches it, there is a larger thing too, but this thing looks like the target in no other unit.
 
-A room that fills the view is no such thing: nothing shows how large it is. With its ranges divided by ten it
-lies within a few times the range's noise, where any face of the target before the sensor explains it.
+A room is no such thing: it reaches opposite borders of the image, and nothing shows how large it is. With its
+ranges divided by ten it lies within a few times their noise, where any face of the target explains it.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_pose.surroundings.places import LEAST_SIZE, at_border, fills_view, surfaces
+from rpod_pose.surroundings.places import LEAST_SIZE, at_border, spans_view, surfaces
 from rpod_pose.surroundings.separation import BALL, RangeImage
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -52,7 +52,7 @@ def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iter
         if len(every) > 1 and not at_border(whole := np.logical_or.reduce(every)):
             things.append(whole)  # a part without a visible joint to the others stands apart
         for thing in things:
-            if fills_view(thing):
+            if spans_view(thing):
                 continue
             extent_m = np.linalg.norm(points_m[thing] - np.median(points_m[thing], axis=0), axis=1)
             most_m, usual_m = float(extent_m.max()), float(np.quantile(extent_m, 0.98))

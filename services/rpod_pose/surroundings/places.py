@@ -225,9 +225,10 @@ def at_border(surface: NDArray[np.bool_]) -> bool:
     return bool(surface[0].any() or surface[-1].any() or surface[:, 0].any() or surface[:, -1].any())
 
 
-def fills_view(surface: NDArray[np.bool_]) -> bool:
-    """Return whether a surface, shape (rows, columns), reaches all four borders of the image."""
-    return bool(surface[0].any() and surface[-1].any() and surface[:, 0].any() and surface[:, -1].any())
+def spans_view(surface: NDArray[np.bool_]) -> bool:
+    """Return whether a surface, shape (rows, columns), reaches two opposite borders of the image."""
+    across = surface[0].any() and surface[-1].any()
+    return bool(across or (surface[:, 0].any() and surface[:, -1].any()))
 
 
 def _fits(points_m: FloatArray, radius_m: float) -> bool:
