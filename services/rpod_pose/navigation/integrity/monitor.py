@@ -27,9 +27,11 @@ from rpod_pose.navigation.integrity.levels import (
     protection_levels,
     solution,
 )
+from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
+from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
@@ -242,6 +244,7 @@ class Monitor:
         if before is not None:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
+        solutions += refused_solutions(state.history, share)
         solutions += self._rivals(output, estimate)
         other_sizes, between = memory.inside.size_solutions(
             estimate, self._config.risk, share, self._tuning.correlated_s
@@ -336,9 +339,12 @@ class Monitor:
         return f"{since_s:.1f} s ago: {memory.contradiction}" if held else ""
 
     def _caution(self, output: Output, tests: list[Statistic]) -> str:
-        """Return why the estimate needs care; empty if it does not."""
+        """Return why the estimate needs care; empty if it does not.
+
+        A sensor that is configured for other distances says nothing about the estimate.
+        """
         status = output.status
-        if not status.accepted:
+        if not status.accepted and not status.reason.startswith(OUT_OF_RANGE):
             return f"the newest measurement is not used: {status.reason}"
         if status.belief is not BeliefLevel.ACCEPTED:
             return "the newest measurement supports the pose weakly"

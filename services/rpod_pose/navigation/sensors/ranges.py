@@ -9,6 +9,9 @@ from rpod_pose.ports import Acquisition
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.sensor import SensorInput
 
+OUT_OF_RANGE = "out of range"
+"""Beginning of the reason for which a sensor's frames are not used at a distance."""
+
 
 class Ranges:
     """Tells which sensors are out of their configured range."""
@@ -34,6 +37,5 @@ class Ranges:
         range_m = float(np.linalg.norm(position_m))
         if least_m <= range_m <= greatest_m:
             return ""
-        return (
-            f"out of range: the target is {how} at {range_m:.1f} m, range_m is {least_m:g} to {greatest_m:g}"
-        )
+        used = f"range_m is {least_m:g} to {greatest_m:g}"
+        return f"{OUT_OF_RANGE}: the target is {how} at {range_m:.1f} m, {used}"

@@ -24,6 +24,7 @@ from rpod_pose.navigation.integrity.monitor import (
 )
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
+from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
@@ -84,7 +85,9 @@ class Track:
             self.state = replace(self.state, history=grown)
         return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, frozen=frozen)
 
-    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False):
+    def judge(
+        self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False, reason="too few pixels"
+    ):
         newest = self.state.history.state
         odometry = Odometry(
             stamp_ns=max(stamp_ns, newest.stamp_ns), frame_id="chaser", child_frame_id="target_estimate",
@@ -93,7 +96,7 @@ class Track:
         )  # fmt: skip
         status = EstimatorStatus(
             stamp_ns=stamp_ns, frame_id="chaser", mode=self.state.mode, sensor=sensor, nis=nis,
-            accepted=accepted, reason="" if accepted else "too few pixels",
+            accepted=accepted, reason="" if accepted else reason,
         )  # fmt: skip
         output = Output(status, odometry if self.state.mode is Mode.TRACKING else None)
         self.memory, integrity = self.monitor.assess(self.memory, self.state, output, frozen=frozen)
@@ -158,6 +161,25 @@ def test_a_track_that_jumps_to_a_half_turn_is_an_alert_for_as_long_as_both_may_b
     told = follow(track, np.arange(6.1, 40.0, 0.5), off=flip)
     assert {each.state for each in told} == {IntegrityState.ALERT}
     assert "its prediction from before" in told[0].reason
+
+
+def test_a_sensor_that_is_out_of_its_range_is_no_reason_for_caution(track):
+    follow(track, PMD_S)
+    told = track.judge(
+        START_NS + 6 * SECOND_NS, sensor="lidar", accepted=False, reason=f"{OUT_OF_RANGE}: 1 m"
+    )
+    assert told.state is IntegrityState.NOMINAL
+
+
+def test_a_level_contains_the_measurement_that_the_gate_refuses(track):
+    follow(track, PMD_S)
+    off_m = 0.1
+    told = track.measure(6.0, off=make_pose(translation_m=(0.0, 0.0, off_m)))
+    assert not track.state.history.steps[-1].outcome.accepted
+    # whether the target moved or the measurement is wrong, the estimate is within the level
+    assert off_m < told.position_level_m < off_m + 0.05
+    assert told.state is IntegrityState.UNAVAILABLE
+    assert "refused measurement" in told.reason
 
 
 def test_a_frozen_stream_is_an_alert_until_it_moves_again(track):

@@ -1,0 +1,30 @@
+"""The hypothesis that a measurement which the gate refused is right, and the prediction wrong.
+
+A gate compares a measurement with a prediction, and does not tell which of them is wrong. By Bayes's rule a
+wrong prediction is the more probable, the larger the normalised innovation squared is that both right would
+have given by chance.
+"""
+
+import numpy as np
+from scipy.special import chdtrc
+
+from rpod_pose.navigation.history import History
+from rpod_pose.navigation.integrity.levels import Solution
+
+
+def refused_solutions(history: History, share: float) -> list[Solution]:
+    """Return the newest measurement as a solution if the gate refused it; otherwise none.
+
+    Args:
+        history: the measurements.
+        share: prior probability of a prediction that is wrong.
+    """
+    if not history.steps or history.steps[-1].outcome.accepted:
+        return []
+    step = history.steps[-1]
+    found = step.outcome.innovation
+    if not (np.isfinite(found.difference).all() and np.isfinite(found.noise).all()):
+        return []
+    by_chance = float(chdtrc(step.predicted.alike.dof, step.outcome.nis))
+    probability = share / (share + by_chance)
+    return [Solution("if the refused measurement is right", found.difference, found.noise, probability)]
