@@ -37,6 +37,9 @@ _FORM = 2
 _NUMBER_BITS = 62
 """Bits of the number from which a process counts: two of thousands of processes never overlap."""
 
+_writable: set[str] = set()
+"""Folders in which this process has made a file."""
+
 
 def watch_callees() -> None:
     """Let Numba's cache include other modules in a kernel's stamp, and name code as no other process does.
@@ -57,6 +60,13 @@ class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, un
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)  # type: ignore[call-arg]
         self._globals = py_func.__globals__
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder of the cache, and try once whether it can be written, not for each kernel."""
+        path = self.get_cache_path()  # type: ignore[attr-defined]
+        if path not in _writable or not Path(path).is_dir():
+            super().ensure_cache_path()  # type: ignore[misc]
+            _writable.add(path)
 
     def get_source_stamp(self) -> bytes:
         """Return a digest of the kernel's file and of all that is compiled into the kernel from elsewhere."""
