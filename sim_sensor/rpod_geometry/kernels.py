@@ -17,7 +17,8 @@ from numba.core.types import unliteral
 
 P = ParamSpec("P")
 R = TypeVar("R")
-_compiled: Any = partial(njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+_njit: Any = njit  # its stub lacks the options of wrappers
+_compiled: Any = partial(_njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 """Numba's decorator with the options of all kernels. No kernel is given to another one as a value, which
 would need a wrapper for C."""
 
