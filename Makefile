@@ -3,6 +3,7 @@
 SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
 READY := $(VENV)/.ready
 PEERS := .venv-peers
 # Tests start many processes, and each would compile every module anew where the environment forbids to keep it.
@@ -14,15 +15,19 @@ MINUTES ?= 60
 # One more than the processors of a small machine: a fifth of the time of tests that start processes is waiting.
 WORKERS ?= 3
 
-.PHONY: help run test bounds check format lint types mypy pyright layers docs site document-tests bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint types mypy pyright layers docs site document-tests collect viewers bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
-setup: $(READY) ## Virtual environment, dependencies, Open3D's system libraries
+setup: $(READY) ## Virtual environment, dependencies, Open3D's system libraries, compiled numerical code
 
-$(READY): pyproject.toml constraints.txt deploy/setup.sh
-	bash deploy/setup.sh $(VENV)
+$(INSTALLED): pyproject.toml constraints.txt deploy/setup.sh
+	bash deploy/setup.sh $(VENV) without-code
+	@touch $@
+
+$(READY): $(INSTALLED)
+	bash deploy/setup.sh $(VENV) only-code
 	@touch $@
 
 run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
@@ -31,26 +36,29 @@ run: $(READY) ## Play a scenario: make run SCENARIO=mockup-oblique
 test: $(READY) ## The tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
-bounds: $(READY) ## Methods on frames that no sensor sends, their compiled code with each index checked
+collect: $(INSTALLED) ## The tests' files read once, so that the processes of make test need not all do it at once
+	@$(BIN)/python -m pytest --collect-only -qq | tail -n 3
+
+bounds: $(INSTALLED) ## Methods on frames that no sensor sends, their compiled code with each index checked
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py 60
 
 check: format lint types layers test bounds docs ## All that CI checks, but the viewers
 
-format: $(READY) ## Formatting, checked
+format: $(INSTALLED) ## Formatting, checked
 	$(BIN)/ruff format --check
 
-lint: $(READY) ## Lint
+lint: $(INSTALLED) ## Lint
 	$(BIN)/ruff check
 
 types: mypy pyright ## mypy strict and pyright
 
-mypy: $(READY)
+mypy: $(INSTALLED)
 	$(BIN)/mypy
 
-pyright: $(READY)
+pyright: $(INSTALLED)
 	$(BIN)/pyright
 
-layers: $(READY) ## Import layers
+layers: $(INSTALLED) ## Import layers
 	$(BIN)/lint-imports
 
 docs: $(READY) ## The site in build/site/html, its notebooks run, and every command and code block of the documents
@@ -62,8 +70,10 @@ site: $(READY)
 document-tests: $(READY)
 	$(BIN)/python -m pytest tests/documents -n 2 --dist worksteal $(ARGS)
 
-check-viewers: $(READY) ## A log and a report in other people's readers and viewers; gets what it needs
+viewers: $(INSTALLED)
 	@bash deploy/viewers.sh $(VENV)
+
+check-viewers: $(READY) viewers ## A log and a report in other people's readers and viewers; gets what it needs
 	$(BIN)/python -m pytest tests/viewers $(ARGS)
 
 bench: $(READY) ## Measured speed of this machine

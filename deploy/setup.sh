@@ -1,12 +1,21 @@
 #!/usr/bin/env bash
 # Makes a virtual environment with everything that rpod and its tests need.
 # Needs Python 3.11 to 3.13. Repeating it changes nothing.
+# A second argument, without-code or only-code, leaves out the numerical code, or makes nothing else.
 set -euo pipefail
 
-venv=${1:-.venv}
+venv=${1:-.venv} part=${2:-all}
 cd "$(dirname "$0")/.."
 
 fail() { printf 'setup: %s\n' "$1" >&2; exit 1; }
+
+compile() {
+  echo "setup: the numerical code is compiled, once (about two minutes on two free cores, four on a loaded machine)"
+  "$venv/bin/python" -m rpod compile
+  echo "setup: ready"
+}
+
+if [[ $part == only-code ]]; then compile; exit; fi
 
 # A Python that will do: the one named, or the newest that is installed.
 python=${PYTHON:-}
@@ -58,6 +67,4 @@ if ! problem=$("$venv/bin/python" -c 'import open3d' 2>&1); then
   fi
 fi
 
-echo "setup: the numerical code is compiled, once (about two minutes on two free cores, four on a loaded machine)"
-"$venv/bin/python" -m rpod compile
-echo "setup: ready"
+[[ $part == without-code ]] || compile

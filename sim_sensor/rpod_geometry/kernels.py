@@ -5,16 +5,22 @@ A kernel is a function that numba compiles at its first call. It takes arrays, n
 them. Its docstring gives shapes and units. A test checks these rules (``tests/unit/test_kernels.py``).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from fcntl import LOCK_EX, LOCK_SH, flock
+from functools import partial
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
 from numba import njit
+from numba.core.types import unliteral
 
 P = ParamSpec("P")
 R = TypeVar("R")
+_njit: Any = njit  # its stub lacks the options of wrappers
+_compiled: Any = partial(_njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+"""Numba's decorator with the options of all kernels. No kernel is given to another one as a value, which
+would need a wrapper for C."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -23,8 +29,26 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     Divisions by zero give inf or NaN as in NumPy, so that no kernel raises for them. For type checkers the
     function keeps its signature, since numba has no stubs.
     """
-    compiled: Callable[P, R] = _kept(njit(cache=True, nogil=True, error_model="numpy")(function))
+    compiled: Callable[P, R] = _kept(_compiled(cache=True)(function))
     return compiled
+
+
+def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a kernel that only other kernels call; Python receives a ``TypeError``.
+
+    It takes less time to compile: what reads a record of forty arrays from Python takes longer to compile
+    than a short kernel itself.
+    """
+    compiled: Any = _kept(_compiled(cache=True, no_cpython_wrapper=True)(function))
+
+    def refused(*args: Any, **kwargs: Any) -> NoReturn:
+        del args, kwargs
+        raise TypeError(f"{function.__qualname__} is an inner kernel: only kernels can call it")
+
+    # The code has no address that Python could call: Numba's dispatcher never learns that it is compiled.
+    compiled._insert, compiled._compile_for_args = (lambda *_: None), refused
+    called: Callable[P, R] = compiled
+    return called
 
 
 def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -33,9 +57,7 @@ def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
     It is for inner loops whose callers guarantee that no argument is NaN.
     """
     flags = {"nnan", "nsz"}
-    compiled: Callable[P, R] = _kept(
-        njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function)
-    )
+    compiled: Callable[P, R] = _kept(_compiled(cache=True, fastmath=flags)(function))
     return compiled
 
 
@@ -45,9 +67,7 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
     It is for what an inner loop calls with records of many arrays: a call counts a reference to each of them,
     which takes longer than a few hundred additions.
     """
-    compiled: Callable[P, R] = _kept(
-        njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
-    )
+    compiled: Callable[P, R] = _kept(_compiled(cache=True, inline="always")(function))
     return compiled
 
 
@@ -57,7 +77,7 @@ def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
     It is for kernels whose arguments are records of other modules: a cache file would not show that it is
     old.
     """
-    compiled: Callable[P, R] = njit(nogil=True, error_model="numpy")(function)
+    compiled: Callable[P, R] = _compiled()(function)
     return compiled
 
 
@@ -66,8 +86,14 @@ def _kept(compiled: Any) -> Any:
 
     It ignores a file that names a record that no longer exists: numba reads the types in a file before it
     checks whether the file is old. One process at a time writes, and none reads meanwhile
-    (``one_at_a_time``).
+    (``one_at_a_time``). It is compiled once for a type, not once more for each number that a caller states.
     """
+    template = compiled.get_call_template
+
+    def get_call_template(args: Iterable[Any], kws: dict[str, Any]) -> Any:
+        return template([_plain(each) for each in args], {name: _plain(each) for name, each in kws.items()})
+
+    compiled.get_call_template = get_call_template
     file = compiled._cache._cache_file
     load = file._load_index
 
@@ -80,6 +106,11 @@ def _kept(compiled: Any) -> Any:
     file._load_index = load_index
     one_at_a_time(file)
     return compiled
+
+
+def _plain(kind: Any) -> Any:
+    """Return a type without the value that Numba may know."""
+    return unliteral(kind)  # type: ignore[no-untyped-call]
 
 
 def one_at_a_time(file: Any) -> None:

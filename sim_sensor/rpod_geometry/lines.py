@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 PER_LINE = 4
@@ -36,7 +36,7 @@ class Lines(NamedTuple):
     """Greatest absolute slope; inf without bounds."""
 
 
-@kernel
+@inner_kernel
 def lines_of(lower: FloatArray, upper: FloatArray) -> Lines:
     """Return the lines with the given bounds of their slopes, as in ``Lines``, shape (lines,) each.
 
@@ -104,7 +104,7 @@ def slopes_of(corner: FloatArray, axis: int) -> tuple[float, float]:
     return least, most
 
 
-@kernel
+@inner_kernel
 def _slopes_in_part(corner: FloatArray, axis: int) -> tuple[float, float]:
     """Return the slopes of a triangle that may be behind the sensor in part.
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.ray_tree import DEPTH, Ray, RayTree, in_target, met
 from rpod_geometry.rays import GridArrays
 from rpod_schemas.arrays import Array, FloatArray
@@ -188,7 +188,7 @@ def _origin(R: FloatArray, t: FloatArray) -> FloatArray:
     return origin
 
 
-@kernel
+@inner_kernel
 def _widths(tree: RayTree, poses: NearPoses) -> FloatArray:
     """Return by how much the poses move what is in each node's box at most, shape (nodes,), m."""
     wide_m = np.empty(tree.held.size)

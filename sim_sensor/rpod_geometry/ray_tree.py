@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.rays import GridArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -148,7 +148,7 @@ def _built(triangles: FloatArray) -> _Nodes:
     return _Nodes(boxes[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy(), order)
 
 
-@kernel
+@inner_kernel
 def _fill_box(box: Float32Array, low: FloatArray, high: FloatArray, chosen: NDArray[np.int32]) -> None:
     """Fill a box, shape (6,), with the bounds of the chosen triangles, rounded outwards.
 
@@ -166,7 +166,7 @@ def _fill_box(box: Float32Array, low: FloatArray, high: FloatArray, chosen: NDAr
         box[k], box[3 + k] = least - margin, most + margin
 
 
-@kernel
+@inner_kernel
 def _split(low: FloatArray, high: FloatArray, chosen: NDArray[np.int32]) -> _Split:
     """Return the plane by which the chosen triangles cost a ray least; arguments as for ``_fill_box``."""
     best, axis, place = np.inf, -1, 0.0
@@ -194,7 +194,7 @@ def _split(low: FloatArray, high: FloatArray, chosen: NDArray[np.int32]) -> _Spl
     return _Split(axis, place)
 
 
-@kernel
+@inner_kernel
 def _cost(counts: NDArray[np.int64], bounds: FloatArray) -> float:
     """Return the number of triangles in bins, shape (B,), times half the area of their box, m2.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.lens import undistort
 from rpod_geometry.lines import Lines, end_line, entry_of, first_line, lines_of, slopes_of
 from rpod_schemas.arrays import Array, FloatArray
@@ -268,7 +268,7 @@ class _Face(NamedTuple):
     """Last column + 1."""
 
 
-@kernel
+@inner_kernel
 def _volume(corner: FloatArray) -> float:
     """Return v0 . (v1 x v2), m3, of a triangle's corners in sensor axes, shape (3, 3), m."""
     x = corner[1, 1] * corner[2, 2] - corner[1, 2] * corner[2, 1]
@@ -277,7 +277,7 @@ def _volume(corner: FloatArray) -> float:
     return float(corner[0, 0] * x + corner[0, 1] * y + corner[0, 2] * z)
 
 
-@kernel
+@inner_kernel
 def _sides(corner: FloatArray, sign: float, side: Array) -> None:
     """Fill the products v_i x v_j, m2, shape (3, 3), with signs so that s_i >= 0 for rays inside."""
     for i in range(3):
@@ -287,7 +287,7 @@ def _sides(corner: FloatArray, sign: float, side: Array) -> None:
         side[i, 2] = sign * (a[0] * b[1] - a[1] * b[0])
 
 
-@kernel
+@inner_kernel
 def _fill_half_planes(side: Array, across: float, down: float, half_planes: FloatArray) -> None:
     """Fill, for each side of a triangle, the half plane of slopes in which a ray may be within the triangle.
 
@@ -335,7 +335,7 @@ def _fill_spans(
         spans[row, 0], spans[row, 1] = begin, max(begin, end)
 
 
-@kernel
+@inner_kernel
 def _draw(  # noqa: PLR0917
     rays: Array,
     side: Array,

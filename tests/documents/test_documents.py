@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from blocks import blocks_of
-from playground import ROOT, RUN_S, Playground
+from playground import PRINTED, ROOT, RUN_S, Playground
 
 from rpod_site.documents import tracked
 
@@ -41,7 +41,8 @@ def log_of(tmp_path_factory) -> Callable[[str], Path]:
                 out = tempfile.mkdtemp(dir=folder)
                 options = ["--duration", f"{RUN_S:g}", "--speed", "max", "--out", out]
                 command = [sys.executable, "-m", "rpod", "run", scenario, *options]
-                subprocess.run(command, check=True, capture_output=True, timeout=240.0)
+                ended = subprocess.run(command, check=True, capture_output=True, text=True, timeout=240.0)
+                Path(out, PRINTED).write_text(ended.stdout, "utf-8")
                 Path(out).rename(done)
             return next(done.glob(f"*/{scenario}.mcap"))
 

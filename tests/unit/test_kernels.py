@@ -17,8 +17,8 @@ from numba.core.dispatcher import Dispatcher
 import rpod_geometry
 import rpod_pose
 import rpod_sim_sensor
+from rpod_geometry.kernels import inner_kernel, one_at_a_time
 from rpod_geometry.kernels import kernel as compiled
-from rpod_geometry.kernels import one_at_a_time
 from rpod_pose.registration.gauss_newton import minimised
 
 MOST_ARGUMENTS, MOST_RETURNED = 7, 3
@@ -81,6 +81,28 @@ def test_a_kernel_is_kept_on_disk_and_releases_the_interpreter(kernel):
     assert not kernel.targetoptions.get("parallel")
     assert kernel.targetoptions["error_model"] == "numpy"
     assert type(kernel._cache).__name__ != "NullCache" or kernel is minimised
+
+
+def doubled(x: float) -> float:
+    """Return twice a number."""
+    return 2.0 * x
+
+
+def test_an_inner_kernel_serves_kernels_and_refuses_python(monkeypatch, tmp_path):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    inner = inner_kernel(doubled)
+    with pytest.raises(TypeError, match="doubled is an inner kernel"):
+        inner(1.0)
+    assert compiled(lambda x: inner(x) + inner(x))(1.5) == 6.0
+    with pytest.raises(TypeError, match="doubled is an inner kernel"):
+        inner(1.0)
+
+
+def test_a_kernel_is_compiled_once_for_all_numbers_that_its_callers_state(monkeypatch, tmp_path):
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    shared = compiled(doubled)
+    assert compiled(lambda n: shared(6) + shared(7) + shared(n))(8) == 42.0
+    assert len(shared.signatures) == 1
 
 
 class Gone(typing.NamedTuple):

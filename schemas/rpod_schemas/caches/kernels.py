@@ -18,12 +18,12 @@ Source: Numba, "Environment variables", NUMBA_CACHE_LOCATOR_CLASSES.
 import hashlib
 import inspect
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from itertools import count
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import caching, config
@@ -36,6 +36,9 @@ _FORM = 2
 """Form of the cached code. That of form 1, with the same names in all processes, is not used any more."""
 _NUMBER_BITS = 62
 """Bits of the number from which a process counts: two of thousands of processes never overlap."""
+
+_writable: set[str] = set()
+"""Folders in which this process has made a file."""
 
 
 def watch_callees() -> None:
@@ -58,10 +61,17 @@ class _Watching(caching._SourceFileBackedLocatorMixin):  # type: ignore[misc, un
         super().__init__(py_func, py_file)  # type: ignore[call-arg]
         self._globals = py_func.__globals__
 
+    def ensure_cache_path(self) -> None:
+        """Make the folder of the cache, and try once whether it can be written, not for each kernel."""
+        path = self.get_cache_path()  # type: ignore[attr-defined]
+        if path not in _writable or not Path(path).is_dir():
+            super().ensure_cache_path()  # type: ignore[misc]
+            _writable.add(path)
+
     def get_source_stamp(self) -> bytes:
         """Return a digest of the kernel's file and of all that is compiled into the kernel from elsewhere."""
         own = super().get_source_stamp()  # type: ignore[no-untyped-call]
-        return hashlib.sha256(repr((_FORM, own, sorted(_parts(self._globals, set())))).encode()).digest()
+        return hashlib.sha256(repr((_FORM, own, sorted(_parts(self._globals)))).encode()).digest()
 
 
 class UserProvided(_Watching, caching.UserProvidedCacheLocator):
@@ -76,39 +86,77 @@ class UserWide(_Watching, caching.UserWideCacheLocator):
     """Locator of the cache in the user's folder."""
 
 
-def _parts(names: Mapping[str, Any], seen: set[int]) -> Iterator[str]:
-    """Yield the values of a module's names that kernels can use; each module is visited once."""
-    seen.add(id(names))
+class _Used(NamedTuple):
+    """What kernels can use of a module."""
+
+    names: Mapping[str, Any]
+    """Names of the module, kept so that no other dictionary has their identity."""
+    file: list[str]
+    """Digest of the module's file, if there is one."""
+    parts: list[str]
+    """Values of the names."""
+    modules: list[dict[str, Any]]
+    """Names of the modules that some of them come from."""
+
+
+_of_imported: dict[int, _Used] = {}
+"""What was found in modules that are imported to their end, by the identity of their names."""
+
+
+def _parts(names: Mapping[str, Any]) -> list[str]:
+    """Return the values of a module's names that kernels can use; each further module is visited once."""
+    first = _used(names)
+    parts, seen, waiting = list(first.parts), {id(names)}, list(first.modules)
+    while waiting:
+        module = waiting.pop()
+        if id(module) not in seen:
+            seen.add(id(module))
+            used = _used(module)
+            parts += [*used.file, *used.parts]
+            waiting += used.modules
+    return parts
+
+
+def _used(names: Mapping[str, Any]) -> _Used:
+    """Return what a module uses; of a module that is imported to its end, as it was when first asked for."""
+    if known := _of_imported.get(id(names)):
+        return known
+    used = _Used(names, _file(names), [], [])
     for name, value in list(names.items()):
         if not name.startswith("__"):
-            yield from _part(name, value, seen)
+            _add(used, name, value)
+    spec = names.get("__spec__")
+    if spec is not None and not getattr(spec, "_initializing", True):
+        _of_imported[id(names)] = used
+    return used
 
 
-def _part(name: str, value: Any, seen: set[int]) -> Iterator[str]:
+def _add(used: _Used, name: str, value: Any) -> None:
+    """Add a name and its value to what a module uses."""
     if isinstance(value, Dispatcher):
-        yield from _module(value.py_func.__globals__, seen)
+        used.modules.append(value.py_func.__globals__)
     elif isinstance(value, _NUMBERS):
-        yield f"{name}={value!r}"
+        used.parts.append(f"{name}={value!r}")
     elif isinstance(value, tuple | list):
         for index, item in enumerate(value):
-            yield from _part(f"{name}[{index}]", item, seen)
+            _add(used, f"{name}[{index}]", item)
     elif inspect.isclass(value) and issubclass(value, tuple):  # a record
-        yield f"{name}={value.__module__}.{value.__qualname__}{inspect.get_annotations(value)}"
-        yield f"{name}={getattr(value, '_fields', ())}"
+        annotations = inspect.get_annotations(value)
+        used.parts.append(f"{name}={value.__module__}.{value.__qualname__}{annotations}")
+        used.parts.append(f"{name}={getattr(value, '_fields', ())}")
     elif isinstance(value, np.ndarray | np.generic):
-        yield f"{name}={value.dtype}{np.shape(value)}{value.tobytes()!r}"
+        used.parts.append(f"{name}={value.dtype}{np.shape(value)}{value.tobytes()!r}")
     elif isinstance(value, ModuleType) and value.__name__.startswith("rpod"):
-        yield from _module(vars(value), seen)
+        used.modules.append(vars(value))
 
 
-def _module(names: dict[str, Any], seen: set[int]) -> Iterator[str]:
-    if id(names) in seen:
-        return
+def _file(names: Mapping[str, Any]) -> list[str]:
+    """Return the digest of a module's file, if there is one."""
     file = names.get("__file__")
-    if file is not None and Path(file).is_file():
-        status = Path(file).stat()
-        yield f"{names['__name__']}={_digest(file, status.st_mtime_ns, status.st_size)}"
-    yield from _parts(names, seen)
+    if file is None or not Path(file).is_file():
+        return []
+    status = Path(file).stat()
+    return [f"{names['__name__']}={_digest(file, status.st_mtime_ns, status.st_size)}"]
 
 
 @cache

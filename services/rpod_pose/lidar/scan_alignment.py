@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.registration.distance_field import FieldArrays, distance_and_gradient
 from rpod_pose.registration.field_alignment import REACH_M, REACH_RAD
@@ -211,7 +211,7 @@ def add_face_points(
 
 
 @linearises(FaceProblem)
-@kernel
+@inner_kernel
 def face_equations(problem: FaceProblem, state: State, step: int) -> Linear[FaceEvidence]:
     """Return the normal equations of a scan at a pose: each return belongs to the face that its ray meets."""
     pose, buffers = state.pose, problem.buffers
@@ -223,7 +223,7 @@ def face_equations(problem: FaceProblem, state: State, step: int) -> Linear[Face
     return Linear(evidence.sums + outline, hold, evidence.inliers >= FEWEST, evidence)
 
 
-@kernel
+@inner_kernel
 def face_aligned(problem: FaceProblem, pose: PoseArrays) -> FaceFit:
     """Return the pose after one step to the faces for each of the problem's scales."""
     fit = minimised(problem, State(pose, 0.0), problem.scales_m.size)

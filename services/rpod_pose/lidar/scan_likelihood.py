@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.ray_tree import Waiting, first_hit, in_target, no_nodes
 from rpod_geometry.rays import GridArrays, RenderBuffers
 from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
@@ -153,7 +153,7 @@ def scan_statistics(
     )
 
 
-@kernel
+@inner_kernel
 def scan_agreement(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanAgreement:
@@ -166,7 +166,7 @@ def scan_agreement(
     return ScanAgreement(likelihood, sums.agreeing, sums.inconsistent, sums.grazing, missing)
 
 
-@kernel
+@inner_kernel
 def rendered_likelihood(
     range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions
 ) -> tuple[float, int]:
@@ -183,7 +183,7 @@ def rendered_likelihood(
     return sums.log_density + evidence, power
 
 
-@kernel
+@inner_kernel
 def _ray_sums(
     range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions, spread: bool
 ) -> RaySums:
@@ -286,7 +286,7 @@ def _at_edge(m: float, i: int, j: int, rays: Rays, beams: Beams) -> float:
     return density
 
 
-@kernel
+@inner_kernel
 def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -> tuple[float, int]:
     """Return the log mean likelihood of the detections over ``HALVES``, and the index of the likeliest one.
 
@@ -307,7 +307,7 @@ def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -
     return evidence, power
 
 
-@kernel
+@inner_kernel
 def _expectation(sums: RaySums, assumed: Assumptions, power: int) -> tuple[float, float]:
     """Return mean and variance of the log likelihood over the scans that the pose predicts.
 
@@ -328,7 +328,7 @@ def _expectation(sums: RaySums, assumed: Assumptions, power: int) -> tuple[float
     return mean, variance
 
 
-@kernel
+@inner_kernel
 def _missing(sums: RaySums, share: FloatArray) -> float:
     """Return the number of returns that are missing, above the expected number.
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_pose.lidar.outline.steps import Scene, outline_steps
 from rpod_pose.lidar.scan_alignment import (
     FEWEST,
@@ -35,7 +35,7 @@ from rpod_pose.lidar.scan_likelihood import (
     scan_statistics,
 )
 from rpod_pose.lidar.scan_view import ScanView, spacing_rad
-from rpod_pose.registration.field_alignment import FieldProblem, field_aligned
+from rpod_pose.registration.field_alignment import FieldProblem, Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.normal_equations import gradient_of, information_of, no_sums
 from rpod_pose.registration.step_posterior import Steps, propagated
@@ -131,13 +131,12 @@ def aligned(
     return ScanRegistration(fit.pose, fit, _of_faces(problem, fit), statistics, True)
 
 
-@kernel
+@inner_kernel
 def _of_faces(problem: FaceProblem, fit: FaceFit) -> FloatArray:
     """Return the information of an alignment with the faces, for the residuals' actual variance, (6, 6)."""
     return fit.information / excess(fit.squares_m2, fit.inliers, problem.errors.sigma_m)
 
 
-@kernel
 def refined(
     problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
@@ -152,13 +151,11 @@ def refined(
         assumed: statistics of returns.
         reach: what the outline can tell.
     """
-    at_start = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
-    found = _refined(problem, start, at_start.log_likelihood, range_m, assumed)
-    if _is_sufficient(found, problem, reach):
-        return found
-    return _better_by_outline(
-        outline_mean(problem, start, range_m, assumed, reach), found, problem, range_m, assumed, reach
-    )
+    nothing = np.empty(0)
+    far = FieldProblem(Points(problem.points_m, nothing), problem.field, nothing)
+    # Each start counts as close, so that the distance field is not used. A kernel of its own for this would
+    # hold all that ``tracked`` holds, and would take as long to compile.
+    return tracked(far, problem, start, range_m, assumed, reach._replace(near_share=0.0))
 
 
 @kernel
@@ -185,23 +182,21 @@ def tracked(  # noqa: PLR0917
     """
     there = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
     found = _refined(problem, start, there.log_likelihood, range_m, assumed)
+    best, begin = found, start
     near = there.agreeing >= reach.near_share * (there.agreeing + there.inconsistent + there.missing)
-    if near and _is_sufficient(found, problem, reach):
-        return found
-    if near:
-        best = outline_mean(problem, start, range_m, assumed, reach)
-        return _better_by_outline(best, found, problem, range_m, assumed, reach)
-    begin = field_aligned(far.points, start, far.field, far.scales_m)
-    other = aligned(problem, begin, range_m, assumed)
-    if other.statistics.agreement.log_likelihood < found.statistics.agreement.log_likelihood:
-        found, other = other, found
-    if _is_sufficient(other, problem, reach):
-        return other
-    best = outline_mean(problem, other.pose, range_m, assumed, reach)
+    if not near:
+        placed = field_aligned(far.points, start, far.field, far.scales_m)
+        best = aligned(problem, placed, range_m, assumed)
+        if best.statistics.agreement.log_likelihood < found.statistics.agreement.log_likelihood:
+            found, best = best, found
+        begin = best.pose
+    if _is_sufficient(best, problem, reach):
+        return best
+    best = outline_mean(problem, begin, range_m, assumed, reach)
     return _better_by_outline(best, found, problem, range_m, assumed, reach)
 
 
-@kernel
+@inlined_kernel
 def _better_by_outline(  # noqa: PLR0917
     best: ScanRegistration,
     other: ScanRegistration,
@@ -228,14 +223,14 @@ def _better_by_outline(  # noqa: PLR0917
     return best
 
 
-@kernel
+@inlined_kernel
 def _more_likely(best: ScanRegistration, other: ScanRegistration) -> ScanRegistration:
     """Return the other registration if its log likelihood is higher by more than ``CHANCE``."""
     least = best.statistics.agreement.log_likelihood + CHANCE
     return other if other.statistics.agreement.log_likelihood > least else best
 
 
-@kernel
+@inlined_kernel
 def _is_unexplained(found: ScanRegistration) -> bool:
     """Return whether there is a return that no face explains.
 
@@ -246,7 +241,7 @@ def _is_unexplained(found: ScanRegistration) -> bool:
     return bool(agreement.inconsistent + agreement.grazing > 0)
 
 
-@kernel
+@inlined_kernel
 def _are_alike(one: PoseArrays, other: PoseArrays, reach: Reach) -> bool:
     """Return whether two poses are so close that the outline is straight between them."""
     moved_m, turned2 = sqrt(((one.t - other.t) ** 2).sum()), ((one.R - other.R) ** 2).sum() / 2.0
@@ -254,7 +249,7 @@ def _are_alike(one: PoseArrays, other: PoseArrays, reach: Reach) -> bool:
     return bool(moved_m + reach.radius_m * sqrt(turned2) < straight_m)
 
 
-@kernel
+@inner_kernel
 def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
     """Return whether the pose is surely right, and the faces determine it as well as the outline could."""
     returns = problem.points_m.shape[0]
@@ -263,13 +258,13 @@ def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) 
     return bool(likely and finite and not _is_unexplained(found) and _determined(found, returns, reach))
 
 
-@kernel
+@inlined_kernel
 def _deficit(found: ScanRegistration) -> float:
     """Return by how much the scan is less likely than the pose expects."""
     return found.statistics.expected - found.statistics.agreement.log_likelihood
 
 
-@kernel
+@inner_kernel
 def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
     """Return whether the faces determine all motions better than the outline could.
 
@@ -285,7 +280,7 @@ def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
     return spread_m2 <= limit_m * limit_m
 
 
-@kernel
+@inner_kernel
 def _farthest(steps: Steps, step: FloatArray) -> float:
     """Return how far a step (dtau, dtheta), shape (6,), moves the outline beside any ray, m."""
     farthest = 0.0
@@ -354,7 +349,7 @@ def outline_mean(
     return ScanRegistration(pose, faces, information, statistics, converged)
 
 
-@kernel
+@inlined_kernel
 def _refined(
     problem: FaceProblem, start: PoseArrays, likelihood: float, range_m: FloatArray, assumed: Assumptions
 ) -> ScanRegistration:
@@ -366,7 +361,7 @@ def _refined(
     return ScanRegistration(start, found.faces, found.information, statistics, True)
 
 
-@kernel
+@inlined_kernel
 def _rays(problem: FaceProblem) -> Rays:
     """Return the rays of a problem with its target and its buffers."""
     buffers = problem.buffers

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
@@ -258,13 +258,13 @@ def compare(compared: Comparison, R: FloatArray, t: FloatArray) -> tuple[float, 
     return total, pixels
 
 
-@kernel
+@inner_kernel
 def _saturated(square: float, most: float) -> float:
     """Return half of a squared error in standard deviations, saturated at ``most`` (Geman-McClure)."""
     return most * square / (2.0 * most + square)
 
 
-@kernel
+@inner_kernel
 def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> float:
     """Return the cosine of incidence of the ray (x, y, z) on a face.
 
@@ -277,7 +277,7 @@ def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> 
     return cosine
 
 
-@kernel
+@inner_kernel
 def _predict(compared: Comparison, R: FloatArray) -> float:
     """Fill the log amplitudes predicted up to a gain, and their sigmas; return the logarithm of the gain.
 
@@ -308,7 +308,7 @@ def _predict(compared: Comparison, R: FloatArray) -> float:
     return _weighted_median(ratios[:count], weights[:count]) if count else 0.0
 
 
-@kernel
+@inner_kernel
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """Return the value, shape (N,), below which half of the weights, shape (N,), lie."""
     half, below = 0.5 * weights.sum(), 0.0

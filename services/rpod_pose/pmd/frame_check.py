@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.pmd.rendering import (
     COARSE_ONLY,
     Around,
@@ -302,13 +302,13 @@ def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray)
     return float(reflected_m[triangle] / max(facing(rendered, i, j), GRAZING))
 
 
-@kernel
+@inner_kernel
 def _should_show(shown: Shown, i: int, j: int, reach: float) -> bool:
     """Return whether a pixel lies inside a surface that would be brighter than the sky in any material."""
     return facing(shown.coarse, i, j) >= GRAZING and _around(shown, i, j, reach).hits >= LEAST_HITS
 
 
-@kernel
+@inner_kernel
 def _around(shown: Shown, i: int, j: int, reach: float) -> Around:
     """Return the ranges in and around a coarse pixel, by the fine rays if there are any."""
     if shown.fine.range_m.size:

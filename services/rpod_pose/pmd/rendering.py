@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M, RayGrid
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray
@@ -112,7 +112,7 @@ class Around(NamedTuple):
     """Number of rays that hit."""
 
 
-@kernel
+@inner_kernel
 def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     """Return the least and greatest range in and around a coarse pixel, and the number of hits of nine rays.
 
@@ -156,7 +156,7 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
     return Around(low, high, hits)
 
 
-@kernel
+@inner_kernel
 def _any_within(owner: NDArray[np.int32], i: int, j: int, width: int) -> bool:
     """Return whether a triangle, -1 for none, is in ``owner``, (rows, columns), within a number of both."""
     rows, columns = owner.shape
@@ -167,7 +167,7 @@ def _any_within(owner: NDArray[np.int32], i: int, j: int, width: int) -> bool:
     return False
 
 
-@kernel
+@inner_kernel
 def _around_coarsely(rendered: RenderingArrays, i: int, j: int, width: int) -> Around:
     """Return the extremes of the coarse pixels within a number of rows and columns, and 1 if any hits."""
     low, high, hits = np.inf, 0.0, 0
@@ -180,7 +180,7 @@ def _around_coarsely(rendered: RenderingArrays, i: int, j: int, width: int) -> A
     return Around(low, high, hits)
 
 
-@kernel
+@inner_kernel
 def around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -> Around:
     """Return the extremes of all fine ranges within ``reach``, and the hits among nine of them.
 
@@ -206,7 +206,7 @@ def around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -
     return Around(low, high, hits)
 
 
-@kernel
+@inner_kernel
 def facing(rendered: RenderingArrays, i: int, j: int) -> float:
     """Return the cosine of incidence at a coarse pixel that shows the target; arguments as for ``around``."""
     owner, rays, triangles, R = rendered.triangle, rendered.rays, rendered.triangles_m, rendered.pose.R
@@ -221,7 +221,7 @@ def facing(rendered: RenderingArrays, i: int, j: int) -> float:
     return float(-along / np.sqrt(squares))
 
 
-@kernel
+@inner_kernel
 def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArray) -> None:
     """Fill ``corner``, (3, 3), with a triangle's corners, (3, 3), moved to sensor axes by R and t; m."""
     for n in range(3):
@@ -230,7 +230,7 @@ def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArra
             corner[n, m] = t[m] + R[m, 0] * x + R[m, 1] * y + R[m, 2] * z
 
 
-@kernel
+@inner_kernel
 def _per_range(corner: FloatArray, ray: FloatArray) -> float:
     """Return one over the range at which a ray meets a triangle seen from outside; 0 if it misses.
 
@@ -249,7 +249,7 @@ def _per_range(corner: FloatArray, ray: FloatArray) -> float:
     return total / _product(corner[0], corner[1], corner[2])
 
 
-@kernel
+@inner_kernel
 def _product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     """Return (a x b) . c of three vectors, shape (3,) each."""
     x = a[1] * b[2] - a[2] * b[1]

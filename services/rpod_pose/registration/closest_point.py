@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 EDGE_M2 = 1e-9
@@ -118,7 +118,7 @@ def projected_points(
     return projected
 
 
-@kernel
+@inner_kernel
 def is_above(p: FloatArray, triangle: FloatArray, normal: FloatArray) -> bool:
     """Return whether the foot of p, (3,), on the plane of a triangle, (3, 3), lies in the triangle; m."""
     for i in range(3):

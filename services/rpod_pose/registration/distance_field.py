@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -70,7 +70,7 @@ def distance_and_gradient(x: float, y: float, z: float, values: Float32Array) ->
     return FieldSample(c0 + w * (c1 - c0), gradient)
 
 
-@kernel
+@inner_kernel
 def field_at(field: FieldArrays, place: Vector) -> FieldSample:
     """Return the distance, m, and its gradient per metre at a place in target axes, m."""
     origin, per_m = field.origin_m, 1.0 / field.spacing_m

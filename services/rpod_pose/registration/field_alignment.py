@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.registration.distance_field import (
     FieldArrays,
     FieldSample,
@@ -76,7 +76,7 @@ class FieldProblem(NamedTuple):
     """Geman-McClure scale of each step, shape (steps,)."""
 
 
-@kernel
+@inner_kernel
 def add_field_points(
     sums: FloatArray, points: Points, pose: PoseArrays, field: FieldArrays, scale: float
 ) -> FieldEvidence:
@@ -115,7 +115,7 @@ def add_field_points(
     return FieldEvidence(weights, squares, inliers, trusted)
 
 
-@kernel
+@inner_kernel
 def seen_sample(field: FieldArrays, place: Vector, ray: Vector, range_m: float, reach: float) -> FieldSample:
     """Return the distance of a place from the nearest face that the sensor can see, and its gradient.
 
@@ -143,7 +143,7 @@ def seen_sample(field: FieldArrays, place: Vector, ray: Vector, range_m: float, 
     return FieldSample(distance, g)
 
 
-@kernel
+@inner_kernel
 def _face_in_front(
     field: FieldArrays, place: Vector, towards: Vector, beyond: float, reach: float
 ) -> FieldSample:

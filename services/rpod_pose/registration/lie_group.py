@@ -5,7 +5,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 
@@ -49,7 +49,7 @@ def turned(R: FloatArray, rotation_vector: FloatArray) -> FloatArray:
     return turned_R
 
 
-@kernel
+@inner_kernel
 def in_target(R: FloatArray, x: float, y: float, z: float) -> Vector:
     """Return R^T (x, y, z): a vector in sensor axes, turned into target axes by R_sensor_target, (3, 3)."""
     return Vector(
@@ -59,7 +59,7 @@ def in_target(R: FloatArray, x: float, y: float, z: float) -> Vector:
     )
 
 
-@kernel
+@inner_kernel
 def in_sensor(R: FloatArray, x: float, y: float, z: float) -> Vector:
     """Return R (x, y, z): a vector in target axes, turned into sensor axes by R_sensor_target, (3, 3)."""
     return Vector(

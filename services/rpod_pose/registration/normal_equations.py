@@ -21,7 +21,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.methods import DepthErrorConfig
@@ -130,7 +130,7 @@ def no_sums() -> FloatArray:
     return np.zeros(SUMS)
 
 
-@kernel
+@inner_kernel
 def add_residual(sums: FloatArray, normal: Vector, place: Vector, residual: float, weight: float) -> None:
     """Add a residual along a normal at a place to the sums, shape (35,); its row is derived above.
 
@@ -175,7 +175,7 @@ def add_residual(sums: FloatArray, normal: Vector, place: Vector, residual: floa
     sums[26] += w5 * residual
 
 
-@kernel
+@inner_kernel
 def add_range_bias(  # noqa: PLR0917
     sums: FloatArray, normal: Vector, place: Vector, slope: float, residual: float, weight: float
 ) -> None:
@@ -229,7 +229,7 @@ def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
     return gradient
 
 
-@kernel
+@inner_kernel
 def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 if it is not determined.
 
@@ -265,7 +265,7 @@ def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
     return step
 
 
-@kernel
+@inner_kernel
 def geman_mcclure(square: float, scale2: float) -> float:
     """Return the weight of a squared residual by Geman and McClure, (c^2 / (c^2 + r^2))^2.
 

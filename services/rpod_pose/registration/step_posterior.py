@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 SWEEPS = 8
@@ -136,7 +136,7 @@ def _assimilate(steps: Steps, e: int, state: Normal, factors: Factors, blur_m: f
             covariance[i, k] -= change * gain * spread[i] * spread[k]
 
 
-@kernel
+@inner_kernel
 def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float]:
     """Return precision and precision times mean of the normal factor that stands for a step.
 

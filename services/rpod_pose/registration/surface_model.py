@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.ray_tree import RayTree, cast_tree, ray_tree, silhouette_m2
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.registration.brightness import albedos
@@ -77,7 +77,7 @@ def cast_faces(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buf
         cast_pose(grid, faces.triangles_m, R, t, True, buffers.range_m, buffers.triangle)
 
 
-@kernel
+@inner_kernel
 def _expected_hits(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray) -> float:
     """Return about how many rays meet the target; all rays of the grid if a part of it is behind the sensor.
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.registration.distance_field import FieldArrays
 from rpod_pose.registration.lie_group import Vector
@@ -186,7 +186,7 @@ def _energies(  # noqa: PLR0917
             energy[m] = cost / weight + _off_surface(R, t, sight.returns, field, cells)
 
 
-@kernel
+@inner_kernel
 def _project(  # noqa: PLR0917
     R: Float32Array,
     t: Float32Array,
@@ -235,7 +235,7 @@ def _project(  # noqa: PLR0917
         rays[5, k] = rays[5, k] / (range2 * np.sqrt(range2)) if in_view else none
 
 
-@kernel
+@inner_kernel
 def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array, sight: _Sight) -> _Sums:
     """Return the sums of weights, of weighted costs, and of weighted places, over the points in view.
 
@@ -265,7 +265,7 @@ def _compare(rays: Float32Array, seen: NDArray[np.bool_], columns: Float32Array,
     return _Sums(weights, cost, sx, sy, sz)
 
 
-@kernel
+@inner_kernel
 def _off_surface(
     R: Float32Array, t: Float32Array, returns: Float32Array, field: FieldArrays, cells: NDArray[np.int32]
 ) -> np.float32:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.types import Float32Array
@@ -173,7 +173,7 @@ def _collect(  # noqa: PLR0917
                     modulated_e[k, row, columns[f]] += fragments.modulated_e[f]
 
 
-@kernel
+@inner_kernel
 def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> int:
     """List the fragments of a row of pixels, and place their triangles; return the number of fragments."""
     owners, _, centres = every
@@ -199,7 +199,7 @@ def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> i
     return count
 
 
-@kernel
+@inner_kernel
 def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
     """Return whether all n x n rays of a pixel hit one triangle, or none; owners of shape (rows, columns)."""
     for i in range(top, top + n):
@@ -209,7 +209,7 @@ def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
     return True
 
 
-@kernel
+@inner_kernel
 def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int:
     """Add a fragment for each triangle in a pixel, with the mean of its rays; return the count."""
     owners, rays, (top, left, n) = every.owners, every.directions, pixel
@@ -236,7 +236,7 @@ def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int
     return count
 
 
-@kernel
+@inner_kernel
 def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
     """Fill distance, normal and material of a row's fragments."""
     index, inverse, material = fragments.triangle, fragments.inverse, fragments.material
@@ -256,7 +256,7 @@ def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
             n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
 
 
-@kernel
+@inner_kernel
 def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
     """Fill the electrons of a row's fragments, without look-ups so that the loops are vectorised."""
     weight, inverse = fragments.weight, fragments.inverse
@@ -282,7 +282,7 @@ def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
         charge_e[f] += weight[f] * sun_e * share if n_l > 0.0 else 0.0
 
 
-@kernel
+@inner_kernel
 def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, lights: Lights) -> None:
     """Fill the electrons of a row's fragments in sub-exposure k; planes of shape (triangles, 1 + K, 3)."""
     index, inverse = fragments.triangle, fragments.inverse
@@ -301,14 +301,14 @@ def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, l
         modulated_e[f] = lamp_e[f] * now * now * (wave + h3 * third)
 
 
-@kernel
+@inner_kernel
 def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a vector of length 1 along (x, y, z)."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     return x * scale, y * scale, z * scale
 
 
-@kernel
+@inner_kernel
 def _cosine(turns: float) -> float:
     """Return cos(2 pi turns) to 4e-9: a fitted odd polynomial for the sine of the rest to a quarter turn."""
     y = 0.25 - abs(turns - np.floor(turns + 0.5))

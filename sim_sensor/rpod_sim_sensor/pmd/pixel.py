@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLE_OFFSET, SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
@@ -123,7 +123,7 @@ def _convert(
             full[row, column] = fullest[column] >= electronics.full_well_e
 
 
-@kernel
+@inner_kernel
 def _fill(  # noqa: PLR0917
     taken: _Taken,
     charge: FloatArray,

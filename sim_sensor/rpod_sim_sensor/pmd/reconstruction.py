@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd import SAMPLE_OFFSET, PmdConfig
 from rpod_schemas.types import Float32Array
@@ -183,7 +183,7 @@ def _reconstruct(  # noqa: PLR0917
             losses[row, column] = lost[column]
 
 
-@kernel
+@inner_kernel
 def _mark_row(
     samples: NDArray[np.uint16],
     limits: _Limits,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.surroundings import Scenery
@@ -107,7 +107,7 @@ class Scene:
         )
 
 
-@kernel
+@inner_kernel
 def place(index: int, surfaces: Surfaces) -> None:
     """Compute the planes of one triangle, an index below T, at the poses of the exposure."""
     body = 0 if index < surfaces.moving else 1

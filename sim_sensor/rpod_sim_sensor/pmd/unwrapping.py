@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import constants
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 
@@ -68,7 +68,7 @@ def _unwrap(
         distance_m[index], disagreement[index] = unwrap_pixel(first_m[index], second_m[index], turns)
 
 
-@kernel
+@inner_kernel
 def unwrap_pixel(first_m: float, second_m: float, turns: Turns) -> tuple[float, float]:
     """Return the distance and the disagreement of one pixel, like ``unwrap``."""
     least_m, near_m, other_m = np.inf, 0.0, 0.0

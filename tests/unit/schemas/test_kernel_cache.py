@@ -5,9 +5,12 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
+
+from rpod_schemas.caches import kernels
 
 ROOT = Path(__file__).parents[3]
 ROOMS = [ROOT / name for name in ("schemas", "services", "sim_sensor")]
@@ -222,3 +225,13 @@ print(shifted.overloads[shifted.signatures[0]].fndesc.mangled_name)
     )
     assert one.stdout.strip()
     assert one.stdout != other.stdout, "of two kernels in one process, one would run the code of the other"
+
+
+def test_a_module_is_examined_once_when_it_is_imported_to_its_end(monkeypatch):
+    whole, begun = {"STEP": 2.0, "__spec__": ModuleSpec("whole", None)}, {"STEP": 2.0}
+    whole["__spec__"]._initializing = False
+    monkeypatch.setattr(kernels, "_of_imported", {})
+    assert kernels._parts(whole) == kernels._parts(begun) == ["STEP=2.0"]
+    whole["MORE"] = begun["MORE"] = 1
+    assert kernels._parts(whole) == ["STEP=2.0"]
+    assert kernels._parts(begun) == ["STEP=2.0", "MORE=1"]

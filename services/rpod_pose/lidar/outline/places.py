@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel
 from rpod_geometry.lines import slopes_ahead
 from rpod_geometry.rays import GridArrays
 from rpod_pose.lidar.scan_likelihood import Assumptions, Rays
@@ -79,7 +79,7 @@ class Seen(NamedTuple):
     """1 if the edge runs counter-clockwise about the face, seen from outside, -1 if clockwise."""
 
 
-@kernel
+@inlined_kernel
 def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
     """Return the places of the outline.
 
@@ -112,14 +112,13 @@ def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
         for i in range(max(block.top - 1, 0), block.bottom):
             for j in range(max(block.left - 1, 0), block.right):
                 ray = i * width + j
-                if pairs[0, i, j] >= 0 and i >= block.top:
-                    u = _crossing(directions, edge, ray, ray + 1)
+                for way in range(2):
+                    if pairs[way, i, j] < 0 or (i < block.top if way == 0 else j < block.left):
+                        continue
+                    other = ray + (1 if way == 0 else width)
+                    u = _crossing(directions, edge, ray, other)
                     if u >= 0.0:
-                        _compare(found, off_m, (pose, rays), edge, Pair(pairs[0, i, j], ray, ray + 1), u)
-                if pairs[1, i, j] >= 0 and j >= block.left:
-                    u = _crossing(directions, edge, ray, ray + width)
-                    if u >= 0.0:
-                        _compare(found, off_m, (pose, rays), edge, Pair(pairs[1, i, j], ray, ray + width), u)
+                        _compare(found, off_m, (pose, rays), edge, Pair(pairs[way, i, j], ray, other), u)
     return _without_empty(found)
 
 
@@ -293,7 +292,7 @@ def _compare(  # noqa: PLR0917
     found.faces[n, 1] = int(np.int64(rays.face[back // width, back % width]))
 
 
-@kernel
+@inner_kernel
 def _without_empty(found: Places) -> Places:
     """Return the places without pairs that no edge was found for, in place."""
     kept = 0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel, reassociated_kernel
+from rpod_geometry.kernels import inner_kernel, kernel, reassociated_kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
@@ -139,7 +139,7 @@ def cast_covariances(
     return covariances
 
 
-@kernel
+@inner_kernel
 def _collect(
     rays: FloatArray,
     range_m: Float32Array,
@@ -174,7 +174,7 @@ def _collect(
     return size, segments
 
 
-@kernel
+@inner_kernel
 def _spread(points: FloatArray, size: int, centroid: FloatArray) -> float:
     """Fill the centroid, shape (3,), of the first points, shape (N, 3); return D_BOR (Eq. 2); m."""
     spread = 0.0
@@ -187,7 +187,7 @@ def _spread(points: FloatArray, size: int, centroid: FloatArray) -> float:
     return spread / size
 
 
-@kernel
+@inner_kernel
 def _scan_boxes(scan: Float32Array) -> Float32Array:
     """Return least and greatest coordinates of each block of a packed scan, shape (blocks, 6)."""
     boxes = np.empty((scan.shape[0], 6), np.float32)
@@ -198,7 +198,7 @@ def _scan_boxes(scan: Float32Array) -> Float32Array:
     return boxes
 
 
-@kernel
+@inner_kernel
 def _pack(
     points: FloatArray,
     centroid: FloatArray,
@@ -226,7 +226,7 @@ def _pack(
             box[axis, segment], box[3 + axis, segment] = least, greatest
 
 
-@kernel
+@inner_kernel
 def _gaps(scan_box: Float32Array, box: Float32Array, gaps: Float32Array) -> None:
     """Fill the squared distances, (segments,), m2, from a box, (6,), to the segments', (6, segments)."""
     zero = np.float32(0.0)
@@ -240,7 +240,7 @@ def _gaps(scan_box: Float32Array, box: Float32Array, gaps: Float32Array) -> None
         gaps[segment] = gap
 
 
-@kernel
+@inner_kernel
 def _nearest_squares(
     points: Float32Array, template: Float32Array, gaps: Float32Array, nearest: Float32Array
 ) -> None:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv, ndtri
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.near_poses import (
     NearPoses,
     NearTriangles,
@@ -166,7 +166,7 @@ def log_likelihoods(
     return logs
 
 
-@kernel
+@inner_kernel
 def _near(
     near: NearTriangles, x: FloatArray, start: PoseArrays, mean: FloatArray, rays: Rays
 ) -> NearTriangles:
@@ -198,7 +198,7 @@ def _near(
     return near_triangles(rays.grid, rays.faces.tree, poses)
 
 
-@kernel
+@inner_kernel
 def _fill_logs(  # noqa: PLR0917
     logs: FloatArray,
     x: FloatArray,
@@ -232,7 +232,7 @@ def _fill_logs(  # noqa: PLR0917
         logs[n] = rendered_likelihood(range_m, pose, rays, assumed)[0]
 
 
-@kernel
+@inner_kernel
 def _add_density(density: FloatArray, x: FloatArray, mean: FloatArray, root: FloatArray) -> None:
     """Add the density of Student's distribution at samples.
 
@@ -257,7 +257,7 @@ def _add_density(density: FloatArray, x: FloatArray, mean: FloatArray, root: Flo
         density[n] += np.exp(constant - 0.5 * (FREEDOM + 6.0) * np.log1p(squares / FREEDOM))
 
 
-@kernel
+@inner_kernel
 def _weights(ratios: FloatArray, power: float) -> FloatArray:
     """Return weights that sum to 1, from the logarithms of their ratios, raised to a power, shape (N,)."""
     weights = np.exp(power * (ratios - ratios.max()))
@@ -265,13 +265,13 @@ def _weights(ratios: FloatArray, power: float) -> FloatArray:
     return normed
 
 
-@kernel
+@inner_kernel
 def _effective(weights: FloatArray) -> float:
     """Return the effective number of samples with weights that sum to 1, shape (N,)."""
     return float(1.0 / (weights * weights).sum())
 
 
-@kernel
+@inner_kernel
 def _power(ratios: FloatArray) -> float:
     """Return the greatest power, at most 1, of weights that leaves ``SPREAD`` effective samples.
 
@@ -290,7 +290,7 @@ def _power(ratios: FloatArray) -> float:
     return low
 
 
-@kernel
+@inner_kernel
 def _small_sample_factor(number: float) -> float:
     """Return the factor on a covariance that was computed from a number of samples.
 
@@ -301,7 +301,7 @@ def _small_sample_factor(number: float) -> float:
     return (1.0 + 1.0 / number) * (number - 1.0) / (number - OF_POSE - 2.0)
 
 
-@kernel
+@inner_kernel
 def _moments(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean, shape (6,), and covariance, shape (6, 6), of weighted samples, shape (N, 6)."""
     mean, covariance = np.zeros(6), np.zeros((6, 6))

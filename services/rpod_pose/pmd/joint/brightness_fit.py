@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window, window_of
 from rpod_schemas.types import Float32Array
@@ -206,7 +206,7 @@ def mixture_of(
     return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone)
 
 
-@kernel
+@inner_kernel
 def one_of(triangle: NDArray[np.int32], per_px: int, window: Window) -> tuple[NDArray[np.int32], int]:
     """Return the triangle that all rays of each pixel of a window meet, shape (rows, columns), and a number.
 
@@ -260,7 +260,7 @@ def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
     return image.reshape(mixture.alone.shape), typical
 
 
-@kernel
+@inner_kernel
 def _add(
     numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], share: tuple[int, float]
 ) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -140,7 +140,7 @@ def imaged(x: float, y: float, lens: Lens) -> Imaged:
     return Imaged(column, row, lens.fx * xx, lens.fx * across, lens.fy * across, lens.fy * yy)
 
 
-@kernel
+@inner_kernel
 def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: float) -> tuple[float, float]:
     """Return the unit vector across a projected edge in the image; 0, 0 for an edge seen from its end.
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.brightness_fit import (
     filed,
@@ -255,7 +255,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
     )
 
 
-@kernel
+@inner_kernel
 def own_change(shade: Float32Array, profile: Profile, least: float) -> tuple[float, float]:
     """Return the change of a rendering that belongs to an edge, and its place, px; zeros if there is none.
 
@@ -339,7 +339,7 @@ class Sights:
         return EdgeSight(self._edges, frame.lens, frame.patch, expected)
 
 
-@kernel
+@inner_kernel
 def nearby_m(shown: Shown, i: int, j: int) -> float:
     """Return the greatest range, m, of four pixels from row i and column j on; inf for sky."""
     n, most = shown.per_px, 0.0
@@ -349,7 +349,7 @@ def nearby_m(shown: Shown, i: int, j: int) -> float:
     return float(most)
 
 
-@kernel
+@inner_kernel
 def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, float]) -> float:
     """Return the larger spread of the faces beside a sample that are turned to the sensor; -1 if none is.
 

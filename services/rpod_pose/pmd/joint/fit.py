@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
 from rpod_pose.pmd.joint.edge_search import (
@@ -222,7 +222,7 @@ def add_edge_points(
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shift)
 
 
-@kernel
+@inner_kernel
 def darker_side(patch: Patch, profile: Profile, place: float) -> float:
     """Return the darker side of an edge beside saturated pixels: -1 ahead, 1 behind; 0 for any other edge.
 
@@ -239,7 +239,7 @@ def darker_side(patch: Patch, profile: Profile, place: float) -> float:
     return -1.0 if ahead < behind else 1.0
 
 
-@kernel
+@inner_kernel
 def share_within(reach: float, own: float, noisy: float) -> float:
     """Return the share of normal errors within +-``reach``, if their variance is own^2 + noisy^2."""
     return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
@@ -290,7 +290,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
 
 
 @linearises(JointProblem)
-@kernel
+@inner_kernel
 def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[JointEvidence]:
     """Return the normal equations of points and edges, each weighted by its own residuals' variance.
 

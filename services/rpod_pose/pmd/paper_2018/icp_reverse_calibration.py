@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_geometry.kernels import kernel
+from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_result import Progress, registration_of
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
@@ -70,7 +70,7 @@ class DepthPixels(NamedTuple):
     """x/z and y/z of the pixels' rays, shape (height, width, 2)."""
 
 
-@kernel
+@inner_kernel
 def mean_beneath(point: FloatArray, column: int, row: int, image: DepthPixels, near: float) -> Vector:
     """Return the mean of the measured points under a pixel and its neighbours that lie near a point.
 
