@@ -8,6 +8,7 @@ costs each the same. So the part ranks the poses, and the whole frame judges the
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import sqrt
 
 from scipy.spatial.transform import RigidTransform
 
@@ -44,11 +45,19 @@ def supported(
         whole = track(again.pose)
         supports = whole.belief.level is BeliefLevel.ACCEPTED and whole.continues_track
         if supports and number:
-            return _judged(again, whole)
+            return _judged(again, whole) if _as_many(whole, found.registration) else found
         if number == ROUNDS or not (supports or likely):
             break
         again = search(whole if supports else again.registration)
     return found
+
+
+def _as_many(whole: Registration, first: Registration) -> bool:
+    """Return whether a pose explains as many measurements as the first one did, but for chance.
+
+    A wrong pose may leave the target itself out of the remainder, and then be the best one there.
+    """
+    return whole.inliers >= first.inliers - sqrt(first.inliers)
 
 
 def _judged(found: Acquisition, whole: Registration) -> Acquisition:

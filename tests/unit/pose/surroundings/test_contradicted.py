@@ -57,6 +57,13 @@ def test_a_pose_that_the_whole_frame_contradicts_too_stays_refused():
     assert searches == ROUNDS
 
 
+def test_a_pose_that_explains_less_than_the_first_one_stays_refused():
+    first = found(WRONG)
+    first = replace(first, registration=replace(first.registration, inliers=159))
+    fewer = replace(first.registration, belief=Belief(), inliers=90)
+    assert supported(first, lambda _pose: fewer, lambda _left: first, likely=True) is first
+
+
 def test_in_an_unlikely_part_such_a_pose_is_not_searched_for_again():
     _, searches = judged(found(WRONG), contradicted("a detail is not explained"), likely=False)
     assert searches == 0
