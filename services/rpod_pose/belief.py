@@ -72,6 +72,11 @@ class Belief:
     """Reason why the measurement alone cannot begin a track, although a running track may use it."""
 
     @property
+    def ranked(self) -> bool:
+        """Whether the pose was compared with its rivals; that of a contradicted pose may be."""
+        return self.needed_weight < 1.0
+
+    @property
     def begins_track(self) -> bool:
         """Whether a track may begin at the pose: no likely rival is left that a measurement could exclude."""
         return self.continues_track and self._alone and not self.insufficient

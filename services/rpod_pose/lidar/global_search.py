@@ -168,7 +168,7 @@ class GlobalSearch:
             belief = search.belief(poses[0])
         elif registration.T_sensor_target is None or not registration.belief.continues_track:
             belief = registration.belief if belief.continues_track else belief
-        if registration.T_sensor_target is not None and belief.continues_track:
+        if registration.T_sensor_target is not None:
             covariance = self._model.turns.exact.with_free_variance(
                 registration.covariance, rotation_matrix(registration.T_sensor_target), 0.0
             )
@@ -176,5 +176,9 @@ class GlobalSearch:
             belief = replace(belief, insufficient=belief.insufficient or vague)
             logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
             least = self._tuning.few_weight if search.few else self._tuning.ambiguous_weight
-            belief = belief_with_rivals(rivals(poses, logs, self._model.turns.exact), belief, least=least)
+            others = rivals(poses, logs, self._model.turns.exact)
+            if belief.continues_track:
+                belief = belief_with_rivals(others, belief, least=least)
+            else:  # where other things contradict the pose, the whole frame may support it
+                belief = replace(belief, rivals=others, needed_weight=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, ComparingTracker, Outcome, Registration, Tracker
+from rpod_pose.surroundings.contradicted import are_close, supported
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
@@ -265,6 +266,7 @@ class AcquirerAmongThings(Generic[FrameT]):
                 continue  # the same surface
             labels = around_place(image, fine, place, radius_m)
             found = self._searched(measurement, fine, labels, pose)
+            found = self._supported(measurement, fine, found, pose, number == 0)
             if found.begins_track and accepted is None:
                 found = self._searched_in_remainder(measurement, fine, found, pose)
             if found.begins_track and accepted is None:
@@ -317,6 +319,26 @@ class AcquirerAmongThings(Generic[FrameT]):
         )
         found = self._acquirer.acquire(part) if pose is None else self._acquirer.near(part, pose)
         return self._in_view(fine, self._verified(measurement, found))
+
+    def _supported(
+        self,
+        measurement: FrameT,
+        fine: RangeImage,
+        found: Acquisition,
+        pose: RigidTransform | None,
+        likely: bool,
+    ) -> Acquisition:
+        """Return ``supported`` of an acquisition in a part of a frame."""
+        again = supported(
+            found,
+            lambda start: self._tracker.track_among(measurement, start),
+            lambda left: self._searched(
+                measurement, fine, self._tracker.without_target_at(fine, left).labels, pose
+            ),
+            lambda one, other: are_close(self._tracker.target, one, other, MARGINS[0]),
+            likely=likely,
+        )
+        return found if again is found else self._in_view(fine, again)
 
     def _searched_in_remainder(
         self, measurement: FrameT, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
