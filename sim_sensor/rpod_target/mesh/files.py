@@ -207,8 +207,10 @@ def _pieces(scene: Any) -> Iterator[_Piece]:
         faces = getattr(geometry, "faces", None)
         if faces is None or not len(faces):
             continue
-        corners = np.asarray(geometry.vertices, np.float64)
-        triangles = corners[np.asarray(faces, np.int64)]
+        corners, faces = np.asarray(geometry.vertices, np.float64), np.asarray(faces, np.int64)
+        if not 0 <= faces.min() <= faces.max() < len(corners):
+            raise ValueError(obj_text.NO_CORNER)
+        triangles = corners[faces]
         if not np.array_equal(transform, np.eye(4)):
             triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
             if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirrored copy

@@ -1,6 +1,7 @@
 """Mesh files as they come: open, doubled, inverted, with cavities and slivers; units and mass."""
 
 import json
+from base64 import b64encode
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -269,6 +270,19 @@ CLOUD = (
     b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     b"end_header\n0 0 0\n1 0 0\n0 1 0\n"
 )
+CORNERS = bytes(36) + b"\0\0\1\0\xff\xff"  # three corners, and a triangle of the corners 0, 1 and 65535
+AMISS = {
+    "asset": {"version": "2.0"},
+    "buffers": [{"byteLength": 42, "uri": "data:;base64," + b64encode(CORNERS).decode()}],
+    "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 6}],
+    "accessors": [
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+        {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+    ],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+    "nodes": [{"mesh": 0}],
+    "scenes": [{"nodes": [0]}],
+}
 DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
 
 
@@ -283,6 +297,7 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
         ("hull.obj", STL, "is named .obj, but its content is STL: give it the suffix .stl"),
         ("hull.obj", b"v 0 0 0\nv 1 0 0\nl 1 2\n", "2 points and no face.*make a mesh of it"),
         ("hull.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face with a corner that is not in the file"),
+        ("hull.gltf", json.dumps(AMISS).encode(), "face with a corner that is not in the file"),
         ("hull.ply", CLOUD, "3 points and no face, so it is a point cloud"),
         (
             "hull.gltf",
