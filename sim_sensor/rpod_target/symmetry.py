@@ -5,7 +5,7 @@ where two of its moments are equal, lies among the faces' normals, their sums an
 Which of the near ones matter depends on what a sensor resolves; that is not decided here.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -94,7 +94,10 @@ class FoundSymmetry:
 def find_symmetries(target: Target) -> list[FoundSymmetry]:
     """Return the exact symmetries of a target, the highest orders first, then the nearest near ones."""
     matcher = _Matcher(target)
-    found = [one for axis in _candidates(target) for one in _about(matcher, axis)]
+    found: list[FoundSymmetry] = []
+    for axis in _candidates(target):  # nearly a sphere has a near symmetry of any turn about each of them
+        high = sum(one.continuous and not one.exact for one in found) < _MOST_NEAR
+        found += _about(matcher, axis, _HIGH_ORDERS if high else ())
     exact = sorted((one for one in found if one.exact), key=lambda one: -one.order)
     near = sorted((one for one in found if not one.exact), key=lambda one: (not one.continuous, -one.share))
     return _without_flips_of_bodies_of_revolution([*exact, *_apart(near)[:_MOST_NEAR]])
@@ -160,8 +163,11 @@ class _Matcher:
         return distance_m / self.size_m, np.abs(cosine), self._target.triangle_material[triangle]
 
 
-def _about(matcher: _Matcher, axis: FloatArray) -> Iterator[FoundSymmetry]:
-    """Yield the symmetries about an axis: its highest exact order, and near ones of any turn or an order."""
+def _about(matcher: _Matcher, axis: FloatArray, high_orders: Sequence[int]) -> Iterator[FoundSymmetry]:
+    """Yield the symmetries about an axis: its highest exact order, and near ones of any turn or an order.
+
+    The high orders are tried where any turn is near.
+    """
     beside_m = float(np.linalg.norm(matcher.centre_m - axis * (matcher.centre_m @ axis)))
     x, y, z = (float(value) for value in np.round(axis, 9) + 0.0)
     cx, cy, cz = (float(value) for value in matcher.centre_m)
@@ -173,14 +179,14 @@ def _about(matcher: _Matcher, axis: FloatArray) -> Iterator[FoundSymmetry]:
 
     any_turn = [matcher.errors(axis, turn) for turn in TURNS]
     least = min(share for _, share in any_turn)
-    around = least > _NEAR_SHARE
-    asked = (*_HIGH_ORDERS, *_ORDERS[::-1]) if around else _ORDERS[::-1]
-    orders = [(order, *matcher.errors(axis, 1.0 / order)) for order in asked]
-    least_m = min(worst for _, worst, _ in orders)
-    exact = next((each for each in orders if each[1] < min(_EXACT, least_m + _SAME)), None)
     if max(worst for worst, _ in any_turn) < _EXACT:
         yield one(_REVOLUTION, least, exact=True, continuous=True)
         return
+    around = least > _NEAR_SHARE
+    asked = (*high_orders, *_ORDERS[::-1]) if around else _ORDERS[::-1]
+    orders = [(order, *matcher.errors(axis, 1.0 / order)) for order in asked]
+    least_m = min(worst for _, worst, _ in orders)
+    exact = next((each for each in orders if each[1] < min(_EXACT, least_m + _SAME)), None)
     if exact is not None:
         yield one(exact[0], exact[2], exact=True)
     if around:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rpod_target import Target, TargetError, load_target
+from rpod_target import Target, TargetError, load_target, symmetry
 from rpod_target.build import pieces
 from rpod_target.drafting import draft as drafting
 from rpod_target.drafting.draft import DraftOptions, draft
@@ -101,6 +101,25 @@ def test_the_symmetries_of_a_shipped_target_are_those_that_its_file_declares(
     found = [one for one in find_symmetries(shipped_by_name[name]) if one.exact]
     assert {order: sum(one.order == order for one in found) for order in orders} == orders
     assert len(found) == sum(orders.values())
+
+
+def test_a_ball_with_a_boom_is_turned_by_high_orders_about_a_few_axes_only(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boom = trimesh.creation.box((0.02, 0.02, 0.3))
+    boom.apply_translation([0.0, 0.0, 0.6])
+    ball = trimesh.util.concatenate([trimesh.creation.icosphere(subdivisions=3, radius=0.5), boom])
+    ball.export(tmp_path / "ball.stl")
+    turned = set()
+
+    def nearly_alike(_: symmetry._Matcher, axis: np.ndarray, turn: float) -> tuple[float, float]:
+        if turn < 0.05:
+            turned.add(tuple(axis))
+        return np.inf, 0.9
+
+    monkeypatch.setattr(symmetry._Matcher, "errors", nearly_alike)
+    draft(tmp_path / "ball.stl", tmp_path / "ball.yaml", DraftOptions(units="m"), cache=cache)
+    assert 0 < len(turned) <= 12
 
 
 @pytest.fixture(scope="session")
