@@ -169,7 +169,7 @@ class Host:
         if missed:
             sync = sync.model_copy(update={"trigger_missed": missed + (sync.trigger_missed or 0)})
         for key, value in sync.values(name).items():
-            self._node.health.tell(key, value)
+            self._node.health.set_text(key, value)
         if isinstance(self._driver, Counted):
             for stage, frames in self._driver.drops()._asdict().items():
                 self._node.health.put(f"lost/{name}/{stage}", frames)

@@ -105,7 +105,7 @@ def searched(seen: Observations, target: Target, *, now_s: Callable[[], float] =
     places = np.linspace(0, len(seen.kept) - 1, _FRAMES).astype(int)
     chosen = [seen.kept[place].frame for place in places]
     sensor: Any = _INPUTS[seen.kind](source=seen.options.source)
-    setup = kind_methods(sensor).setup(sensor, seen.said)
+    setup = kind_methods(sensor).setup(sensor, seen.newest_info)
     if setup is None:
         return unchecked(_LINE, kind_methods(sensor).missing)
     acquirer = methods_of(sensor, target, setup).acquirer

@@ -131,8 +131,8 @@ class FrameReader:
 
         For a sensor whose info has changed while it is pinned, this is the one before.
         """
-        said = {name: sensor.reader.said for name, sensor in self._sensors.items()}
-        return {name: self._setups.info(name, info) if self.pinned else info for name, info in said.items()}
+        infos = {name: sensor.reader.newest_info for name, sensor in self._sensors.items()}
+        return {name: self._setups.info(name, info) if self.pinned else info for name, info in infos.items()}
 
     def learn(self, received: Received) -> None:
         """Store the content of a latched message. Raises ``MessageRejectedError``."""
@@ -218,7 +218,7 @@ class FrameReader:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
         try:
-            setup = Setup(mount, known.reader.said)
+            setup = Setup(mount, known.reader.newest_info)
             self._setups.check(sensor, setup, source=leading.peer, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(leading, rejection) from rejection
@@ -262,8 +262,8 @@ class FrameReader:
     def last(self, sensor: str, data: SensorFrame) -> Last:
         """Return the last measurement of a frame, by its points, else by the stated duration."""
         known = self._sensors[sensor]
-        said = known.reader.said
-        stated_s = said.duration_s if isinstance(said, SensorInfo) else 0.0
+        info = known.reader.newest_info
+        stated_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
         return last_of(data, stated_s or known.source.duration_s)
 
     def repeats(self, sensor: str, frame: Assembled[Received]) -> int:

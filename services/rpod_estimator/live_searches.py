@@ -100,7 +100,7 @@ class LiveSearches:
         if self._running.pop(search.sensor, None):
             worker.cancel()
         if self._backoffs[search.sensor].is_paused(search.event.data, now_s):
-            return Found.resting()
+            return Found.not_searched()
         worker.begin(search, self._setups[search.sensor])
         self._running[search.sensor] = _Running(search, now_s)
         return None

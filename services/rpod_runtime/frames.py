@@ -57,7 +57,7 @@ class SensorReader(Protocol):
     """Reads the messages of one sensor. It is created as ``(source)``, how the sensor's driver publishes."""
 
     @property
-    def said(self) -> Any:
+    def newest_info(self) -> Any:
         """Info that the sensor has published of itself; None as long as there is none."""
         ...
 
@@ -95,13 +95,13 @@ class PmdReader:
     """Reads the frames of a PMD camera."""
 
     def __init__(self, source: SourceConfig = ICD) -> None:
-        self.said: PmdInfo | None = None
+        self.newest_info: PmdInfo | None = None
         self._source = source
         self._cosines: tuple[bytes, Float32Array] | None = None
 
     def learn(self, message: Any) -> None:
         """Store the latched info."""
-        self.said = read_pmd_info(message)
+        self.newest_info = read_pmd_info(message)
 
     def read(self, frame: Assembled[Received]) -> PmdFrame:
         """Return a frame: depth, amplitude where it was sent, lens model, and the camera's info."""
@@ -131,7 +131,7 @@ class PmdReader:
             depth_m=depth_m,
             amplitude=amplitude,
             camera=camera,
-            info=self.said,
+            info=self.newest_info,
             saturated=saturated,
         )
 
@@ -204,7 +204,7 @@ class LidarReader:
         return self._empty.text
 
     @property
-    def said(self) -> LidarInfo | None:
+    def newest_info(self) -> LidarInfo | None:
         """Info that the LIDAR published, else the scan pattern that its points show; only the part ahead."""
         pattern = self._info or self._inferred.pattern
         if pattern is not self._whole:
@@ -224,7 +224,7 @@ class LidarReader:
         if self._info is None:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
             self._inferred.add(scan.points_m, float(np.ptp(time_s)))
-        front = self.said
+        front = self.newest_info
         if self._whole is not None and not (scan.organised and front is self._whole):
             scan = _ahead_of(scan, self._whole)
         if scan.organised:
@@ -283,12 +283,12 @@ class LidarReader:
         """Compare rows and columns of a scan with those of the published info."""
         if self._info is None:
             return
-        said = self._info.elevation_rad.size, self._info.azimuth_rad.size
-        if found != said:
+        stated = self._info.elevation_rad.size, self._info.azimuth_rad.size
+        if found != stated:
             self._note(
                 "size",
                 f"scans have {found[0]} x {found[1]} points, elevations by azimuths, the info states "
-                f"{said[0]} x {said[1]}; let the driver publish the info of its scan mode",
+                f"{stated[0]} x {stated[1]}; let the driver publish the info of its scan mode",
             )
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
@@ -296,13 +296,13 @@ class LidarReader:
         if self._shown >= _SETTLED:
             return self._seen_rows
         seen = rows_are_elevation(points_m)
-        said = None if self._info is None else self._info.rows_are_elevation
+        stated = None if self._info is None else self._info.rows_are_elevation
         if seen is None:
-            return self._seen_rows if said is None else said
-        if said not in (None, seen):
+            return self._seen_rows if stated is None else stated
+        if stated not in (None, seen):
             self._note(
                 "turned",
-                f"info says rows_are_elevation: {said}, but the points show {seen}, which is used; are "
+                f"info says rows_are_elevation: {stated}, but the points show {seen}, which is used; are "
                 "azimuth and elevation, or the axes of the points, exchanged?",
             )
         self._shown = self._shown + 1 if seen == self._seen_rows else 1

@@ -105,7 +105,7 @@ class HealthBook:
             else:
                 self._alarms.pop(name, None)
 
-    def tell(self, name: str, text: str) -> None:
+    def set_text(self, name: str, text: str) -> None:
         """Set a text for the operator in the diagnostics; an empty one is removed."""
         with self._lock:
             if text:

@@ -350,7 +350,7 @@ class Node(Asker):
             self.config = config
         for name, value in flatten(reply.changed):
             self.parameters.offer(name, value)
-        self.health.tell("configuration/read_again", text)
+        self.health.set_text("configuration/read_again", text)
         names = ", ".join(reply.needs_restart)
         differs = f"the file differs in {names}: restart the service, or correct it" if names else ""
         self.health.alarm("configuration", differs)
@@ -375,7 +375,7 @@ class Node(Asker):
     def _last_beat(self) -> None:
         self.stop.set()
         self._heart.join(timeout=2.0)
-        self.health.tell(CLOSING, "true")
+        self.health.set_text(CLOSING, "true")
         self._publish_health()
 
     def _publish_health(self) -> None:

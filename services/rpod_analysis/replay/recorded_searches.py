@@ -30,7 +30,7 @@ class RecordedSearches:
         if not search.waited and BEGUN in self.evidence:
             return None
         if not search.waited and AGE_S in self.evidence:  # a pause after a search that failed
-            return Found.resting()
+            return Found.not_searched()
         if search.waited and AGE_S not in self.evidence:
             return None
         methods = self._methods[search.sensor]

@@ -47,7 +47,7 @@ class EmulatedKind:
             self._reader.learn(self._kept[kind.info.of(self.sensor.name).name].decode())
 
         self._methods = kind_methods(self.heard)
-        self.setup: Any = self._methods.setup(self.heard, self._reader.said)
+        self.setup: Any = self._methods.setup(self.heard, self._reader.newest_info)
 
     def ideal(self, T_sensor_target: RigidTransform) -> SensorFrame:
         """Return the frame that the kind's methods are warmed up with: without noise, and of a known lens."""

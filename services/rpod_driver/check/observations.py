@@ -115,7 +115,7 @@ class Observations:
     given_up: list[GivenUp] = field(default_factory=list)
     raw_middle_m: list[float] = field(default_factory=list)
     """Median distance in the leading message of refused frames, as it was sent."""
-    said: Any = None
+    newest_info: Any = None
     """Properties of the sensor as it states them, or as its frames show them."""
     infos: list[tuple[Peer, Any]] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
@@ -222,7 +222,7 @@ class Observer:
                 self.seen.diagnostics |= {each.name: each for each in read_diagnostics(received.decode())}
             elif self.info is not None and name == self.info.name:
                 self._reader.learn(received.decode())
-                self.seen.infos.append((received.peer, self._reader.said))
+                self.seen.infos.append((received.peer, self._reader.newest_info))
         except MessageRejectedError as error:
             self.seen.refused.append((error.reason, f"{name}: {error.text}"))
 
@@ -288,7 +288,7 @@ class Observer:
         for frame in self._assembler.release():
             self._take_frame(frame)
         self.seen.ended_ns = max(self.seen.ended_ns, now_ns)
-        self.seen.said = self._reader.said
+        self.seen.newest_info = self._reader.newest_info
         return self.seen
 
 

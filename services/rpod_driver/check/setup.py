@@ -81,13 +81,13 @@ def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
     """Check the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
-    for name, seen_rad, said_rad in (
+    for name, seen_rad, stated_rad in (
         ("azimuth", azimuth, np.broadcast_to(info.azimuth_rad, azimuth.shape)),
         ("elevation", elevation, np.broadcast_to(info.elevation_rad[:, None], elevation.shape)),
     ):
-        said, found = said_rad[returned], seen_rad[returned]
-        turned = np.angle(np.exp(1j * (found - said)))
-        slope = 1.0 + float(np.polyfit(said - said.mean(), turned, 1)[0]) if np.ptp(said) else 1.0
+        stated, found = stated_rad[returned], seen_rad[returned]
+        turned = np.angle(np.exp(1j * (found - stated)))
+        slope = 1.0 + float(np.polyfit(stated - stated.mean(), turned, 1)[0]) if np.ptp(stated) else 1.0
         step = float(
             np.median(np.abs(np.diff(info.azimuth_rad if name == "azimuth" else info.elevation_rad)))
         )

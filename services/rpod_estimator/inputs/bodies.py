@@ -67,7 +67,7 @@ class BodyReport:
         for body, sensor, state, text in self._book.states:
             name = f"body/{body}/{sensor}"
             health.alarm(name, text if state is BodyState.ELSEWHERE else "")
-            health.tell(name, text if state is BodyState.UNSEEN else "")
+            health.set_text(name, text if state is BodyState.UNSEEN else "")
             if state is not self._told.get(name, BodyState.IN_PLACE):
                 level = logging.INFO if state is BodyState.IN_PLACE else logging.WARNING
                 log.log(level, "%s", text or f"{sensor} sees the known body {body} in its place again")

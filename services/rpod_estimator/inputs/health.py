@@ -18,7 +18,7 @@ from rpod_estimator.inputs.book import (
     unused,
 )
 from rpod_estimator.inputs.refusals import Refusals
-from rpod_pose.navigation.first_pose.searches import RESTING
+from rpod_pose.navigation.first_pose.searches import PAUSED
 from rpod_pose.navigation.state import Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
@@ -69,7 +69,7 @@ class InputHealth:
         book, status = self.books[arrived.sensor], output.status
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # reported as one of two publishers
-        if output.search == RESTING:
+        if output.search == PAUSED:
             self._health.count(f"dropped/{arrived.sensor}")
         if output.search and not output.why:  # the result of the search is reported at its own frame
             return
@@ -109,7 +109,7 @@ class InputHealth:
             if sync is not None:
                 book.sync = sync
                 for name, value in sync.values(sensor).items():
-                    self._health.tell(name, value)
+                    self._health.set_text(name, value)
 
     def report(self, mode: Mode, now_s: float, bus_s: float | None = None) -> None:
         """Write level, message and counters into the diagnostics; log what is not used.
@@ -129,7 +129,7 @@ class InputHealth:
             self._health.put(f"inputs/{sensor}/used", book.used)
             for kind, frames in book.lost.items():
                 self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)
-                self._health.tell(f"input/{sensor}/{kind}", book.examples[kind])
+                self._health.set_text(f"input/{sensor}/{kind}", book.examples[kind])
             state = book.state(now_s, bus_s)
             self._log(sensor, state, now_s)
             states.append(state)
@@ -144,10 +144,10 @@ class InputHealth:
 
     def _rivals_state(self) -> InputState:
         for topic in {name for name, *_ in self.rivals}.symmetric_difference(self._rival_topics):
-            self._health.tell(f"publishers/{topic}", "")
+            self._health.set_text(f"publishers/{topic}", "")
         self._rival_topics = {name for name, *_ in self.rivals}
         for topic, used, other in self.rivals:
-            self._health.tell(f"publishers/{topic}", f"{used} is used, {other} is not")
+            self._health.set_text(f"publishers/{topic}", f"{used} is used, {other} is not")
         if not self.rivals:
             return OK
         topic, used, other = self.rivals[0]

@@ -50,7 +50,7 @@ from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import (
     RESTS,
     heard,
-    rests,
+    is_paused,
     silent_since_s,
     supported,
     unsupported_s,
@@ -242,7 +242,7 @@ class Navigator:
 
     def _rests(self, state: NavigatorState, event: Measurement) -> bool:
         pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
-        return rests(state.streams, event.sensor, event.stamp_ns, pause_s)
+        return is_paused(state.streams, event.sensor, event.stamp_ns, pause_s)
 
     def _verifies_another(self, state: NavigatorState, event: Measurement) -> bool:
         """Return whether the first pose of another sensor is being verified, so that a result can wait."""

@@ -49,9 +49,9 @@ def frames():
     return tuple(taken)
 
 
-def seen(kept, kind="pmd", said=None):
+def seen(kept, kind="pmd", newest_info=None):
     kept = [Kept(number, frame, np.zeros(0), "") for number, frame in enumerate(kept)]
-    return Observations(kind, "front", Options(), kept=kept, said=said)
+    return Observations(kind, "front", Options(), kept=kept, newest_info=newest_info)
 
 
 @pytest.mark.parametrize(

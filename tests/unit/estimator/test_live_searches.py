@@ -16,7 +16,7 @@ from rpod_estimator.live_searches import LiveSearches
 from rpod_estimator.search_process import SearchProcess, found_as_in_process, packed
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
-from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, RESTING, Found, Search
+from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, PAUSED, Found, Search
 from rpod_pose.ports import Acquisition, Candidate, Candidates, Registration
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_pose.unwanted import UnwantedError, unless
@@ -137,7 +137,7 @@ def test_searches_in_vain_take_a_tenth_of_the_time_after_ten_seconds():
         desk.now_s += 0.02
     assert searched_s == pytest.approx(10.0, abs=1.0)
     assert desk.live.pause_s == pytest.approx(5.0)
-    assert desk.live.result(search(number + 1)).acquisition.belief.refusal == RESTING
+    assert desk.live.result(search(number + 1)).acquisition.belief.refusal == PAUSED
     desk.live.end_pauses()
     assert desk.live.result(search(number + 2)) is None
 

@@ -179,11 +179,13 @@ def test_of_a_turning_head_only_what_lies_ahead_is_used():
     reader = LidarReader(SourceConfig(axes="forward"))
     scan = reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
     assert (
-        scan.points_m.shape == (reader.said.elevation_rad.size, reader.said.azimuth_rad.size, 3) == (9, 33, 3)
+        scan.points_m.shape
+        == (reader.newest_info.elevation_rad.size, reader.newest_info.azimuth_rad.size, 3)
+        == (9, 33, 3)
     )
     assert (scan.points_m[..., 2] > 0.0).all()
     seen = np.arctan2(scan.points_m[4, :, 0], scan.points_m[4, :, 2])
-    np.testing.assert_allclose(reader.said.azimuth_rad, seen, atol=1e-3)
+    np.testing.assert_allclose(reader.newest_info.azimuth_rad, seen, atol=1e-3)
 
 
 def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog):

@@ -43,7 +43,7 @@ class Bag:
         for _, payload in self._messages({"info": topic}):
             found.learn(decode(payload, topic.type))
             break
-        return found.said
+        return found.newest_info
 
     def frames(self) -> Iterator[SensorFrame]:
         """Yield the frames in their order; report at the end which were left out."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.first_pose.beginning import Beginning
-from rpod_pose.navigation.first_pose.searches import RESTING, Found, Search
+from rpod_pose.navigation.first_pose.searches import PAUSED, Found, Search
 from rpod_pose.navigation.parallel import ParallelTracks
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.ranges import Ranges
@@ -52,8 +52,8 @@ class SearchResults:
             state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
             if why := self._ranges.not_of(event.sensor, acquisition):
                 return state, self._output(state, event, reason=why)
-        if found.rests:
-            return state, self._output(state, event, search=RESTING)
+        if found.paused:
+            return state, self._output(state, event, search=PAUSED)
         registration, belief = acquisition.registration, acquisition.belief
         if acquisition.begins_track:
             state = self._beginning.at_found(state, event, registration)

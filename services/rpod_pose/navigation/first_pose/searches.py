@@ -27,7 +27,7 @@ SEARCHED = "searching: a search in this frame has begun"
 """Reason for which a frame is not used yet: it is searched."""
 FOUND = "a pose was found, which the next frame has to verify"
 """Reason for which the searched frame is not used yet if its sensor has sent no frame since."""
-RESTING = "not searched: no search has found the target, so fewer frames are searched"
+PAUSED = "not searched: no search has found the target, so fewer frames are searched"
 """Reason for which a frame is not searched."""
 BEGUN = "search_begun"
 """Name of the evidence that a search in this frame has begun; its result comes with a later frame."""
@@ -86,7 +86,7 @@ class Found:
     acquisition: Acquisition
     nearby: bool = False
     """Whether it is that of the surroundings of ``Search.near``."""
-    rests: bool = False
+    paused: bool = False
     """Whether the search was not made, because unsuccessful searches are limited."""
 
     @classmethod
@@ -95,9 +95,9 @@ class Found:
         return cls(Acquisition(Registration.none(Source.NONE, reason)))
 
     @classmethod
-    def resting(cls) -> "Found":
+    def not_searched(cls) -> "Found":
         """Return the result of a search that was not made because unsuccessful searches are limited."""
-        return cls(Acquisition(Registration.none(Source.NONE, RESTING)), rests=True)
+        return cls(Acquisition(Registration.none(Source.NONE, PAUSED)), paused=True)
 
 
 class Searches(Protocol):

@@ -84,7 +84,7 @@ def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
     return {**streams, sensor: replace(streams.get(sensor, Stream()), searched_ns=stamp_ns)}
 
 
-def rests(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
+def is_paused(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
     """Return whether a frame is not searched, so that unsuccessful searches do not delay another sensor."""
     searched_ns = streams.get(sensor, Stream()).searched_ns
     return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
