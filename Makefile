@@ -15,7 +15,7 @@ MINUTES ?= 60
 # One more than the processors of a small machine: a fifth of the time of tests that start processes is waiting.
 WORKERS ?= 3
 
-.PHONY: help run test bounds check format lint types mypy pyright layers docs site document-tests collect viewers bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
+.PHONY: help run test bounds check format lint mypy pyright layers docs site document-tests collect viewers bench recording busy reading cluster hand-eye truth-error free-flight peers fuzz kills soak check-viewers lock audit setup clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -42,7 +42,7 @@ collect: $(INSTALLED) ## The tests' files read once, so that the processes of ma
 bounds: $(INSTALLED) ## Methods on frames that no sensor sends, their compiled code with each index checked
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py 60
 
-check: format lint types layers test bounds docs ## All that CI checks, but the viewers
+check: format lint mypy layers test bounds docs ## All that CI checks, but the viewers
 
 format: $(INSTALLED) ## Formatting, checked
 	$(BIN)/ruff format --check
@@ -50,12 +50,10 @@ format: $(INSTALLED) ## Formatting, checked
 lint: $(INSTALLED) ## Lint
 	$(BIN)/ruff check
 
-types: mypy pyright ## mypy strict and pyright
-
-mypy: $(INSTALLED)
+mypy: $(INSTALLED) ## Types: mypy strict
 	$(BIN)/mypy
 
-pyright: $(INSTALLED)
+pyright: $(INSTALLED) ## Types as pyright reads them, before a release
 	$(BIN)/pyright
 
 layers: $(INSTALLED) ## Import layers

@@ -22,7 +22,7 @@ from rpod_runtime.bus.session import free_endpoint
 
 ROOT = Path(__file__).parents[2]
 SHOWN_ADDRESS = "127.0.0.1:7447"
-RUN_S, TRIALS = 3.0, 2
+RUN_S, TRIALS = 2.0, 2
 """No run takes longer and no campaign has more trials here, whatever the document shows."""
 PRINTED = "printed.txt"
 """File beside the folder of a run that several documents use: what the run printed."""

@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -179,44 +180,46 @@ class ToldError(Exception):
     """What an executor told; it ends the campaign, so that a test need not wait for its patience to end."""
 
 
-def end_with(told: str) -> None:
-    raise ToldError(told)
+REFUSED = {
+    "old": r"rpod is 0\.0\.9, not 0\.1\.0",
+    "broken": "TypeError: 'NoneType'",
+    "wide": "OMP_NUM_THREADS is 2, not 1",
+}
+"""What is wrong with a worker, by its name."""
 
 
-def test_a_worker_of_another_version_is_refused_by_name_and_others_run_the_trials(tmp_path, dask):
-    other = tmp_path / "other_version.py"
-    other.write_text(
+def test_workers_that_would_give_other_rows_are_refused_by_name_and_others_run_the_trials(tmp_path, dask):
+    old, broken = tmp_path / "other_version.py", tmp_path / "broken.py"
+    old.write_text(
         "from rpod_campaign.engine import software\n"
         "def other(name, known=software._version):\n"
         "    return '0.0.9' if name == 'rpod' else known(name)\n"
         "software._version = other\n"
     )
-    dask.start_worker("old", "--preload", str(other))
+    broken.write_text("from rpod_campaign.engine import software\nsoftware._version = None\n")
+    dask.start_worker("old", "--preload", str(old))
+    dask.start_worker("broken", "--preload", str(broken))
+    dask.start_worker("wide", OMP_NUM_THREADS="2")
     told = []
-    refused = r"worker old at tcp://.*: rpod is 0\.0\.9, not 0\.1\.0"
-    with pytest.raises(ToldError, match=refused):  # from here on it has imported what it needs for its answer
-        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
-    with pytest.raises(NoWorkersError, match=refused):
+
+    def end_with_the_last(note: str) -> None:
+        told.append(note)
+        if len(told) == len(REFUSED):
+            raise ToldError
+
+    with pytest.raises(ToldError):  # from here on the workers have imported what they need for their answers
+        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with_the_last))
+    for name, reason in REFUSED.items():
+        assert any(re.search(rf"worker {name} at tcp://.*{reason}", note) for note in told), told
+    with pytest.raises(NoWorkersError, match=REFUSED["old"]):
         run_campaign(counting(tmp_path), Cluster(dask.address, patience_s=2.0))
     dask.start_worker("new")
-    campaign = counting(tmp_path)
-    run_campaign(campaign, Cluster(dask.address, note=told.append))
+    campaign, told_again = counting(tmp_path), []
+    run_campaign(campaign, Cluster(dask.address, note=told_again.append))
     assert once(campaign)
-    assert [note.split(" at ")[0] for note in told] == ["refused: worker old"]
-
-
-def test_a_worker_that_cannot_say_what_it_runs_is_refused_and_not_waited_for(tmp_path, dask):
-    broken = tmp_path / "broken.py"
-    broken.write_text("from rpod_campaign.engine import software\nsoftware._version = None\n")
-    dask.start_worker("broken", "--preload", str(broken))
-    with pytest.raises(ToldError, match=r"worker broken at tcp://.*: TypeError: 'NoneType'"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
-
-
-def test_a_worker_with_several_threads_is_refused(tmp_path, dask):
-    dask.start_worker("wide", OMP_NUM_THREADS="2")
-    with pytest.raises(ToldError, match=r"worker wide .*OMP_NUM_THREADS is 2, not 1"):
-        run_campaign(counting(tmp_path), Cluster(dask.address, note=end_with))
+    assert sorted(note.split(" at ")[0] for note in told_again) == [
+        f"refused: worker {name}" for name in sorted(REFUSED)
+    ]
 
 
 def test_rows_go_back_to_the_client_where_a_worker_does_not_see_the_folder(tmp_path, worker, monkeypatch):

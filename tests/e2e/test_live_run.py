@@ -47,7 +47,7 @@ FIELDS = {
 }  # fmt: skip
 """``summary.json`` as the interface control document has it in section 6."""
 
-_DURATIONS_S = (6, 30, 60)
+_DURATIONS_S = (6, 15, 60)
 """None is the scenario's own."""
 
 

@@ -20,7 +20,7 @@ from rpod_pose.navigation.filter import (
 )
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
-from rpod_schemas.poses import make_pose
+from rpod_schemas.poses import make_pose, rotation_of
 from rpod_target import Equivalence, Symmetry
 
 SECOND_NS = 1_000_000_000
@@ -44,7 +44,7 @@ class Truth:
 def turned(rotvec: FloatArray, shift_m: FloatArray, pose: RigidTransform) -> RigidTransform:
     """Return a pose with an error (dp, dtheta) of the interface control document."""
     return make_pose(
-        rotation=Rotation.from_rotvec(rotvec) * pose.rotation, translation_m=pose.translation + shift_m
+        rotation=Rotation.from_rotvec(rotvec) * rotation_of(pose), translation_m=pose.translation + shift_m
     )
 
 
@@ -75,7 +75,7 @@ def moved(
 
 def at_point(truth: Truth, point_m: FloatArray) -> Truth:
     """Return pose and twist of a point that is fixed in the target, target axes."""
-    arm_m = truth.pose.rotation.apply(point_m)
+    arm_m = rotation_of(truth.pose).apply(point_m)
     return Truth(
         turned(np.zeros(3), arm_m, truth.pose),
         truth.velocity_m_s + np.cross(truth.rate_rad_s, arm_m),
@@ -84,7 +84,7 @@ def at_point(truth: Truth, point_m: FloatArray) -> Truth:
 
 
 def error_of(state: FilterState, truth: Truth) -> FloatArray:
-    turn = state.T_chaser_target.rotation * truth.pose.rotation.inv()
+    turn = rotation_of(state.T_chaser_target) * rotation_of(truth.pose).inv()
     return np.concatenate(
         [
             state.T_chaser_target.translation - truth.pose.translation,
