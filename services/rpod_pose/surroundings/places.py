@@ -200,7 +200,8 @@ def _of_size(
     """Yield a surface if it may be the target, and the bulky parts of one that may be larger.
 
     A surface that the image's border cuts may be larger: an arm that holds the target reaches into the image
-    from outside. Bulky parts are what is left without thin limbs.
+    from outside. Bulky parts are what is left without thin limbs. A thin target that an arm prolongs has
+    none, so that its nearest parts of the target's size are tried.
     """
     whole = _fits(points_m[surface], radius_m)
     if whole and not at_border(surface):
@@ -210,6 +211,8 @@ def _of_size(
     width = 2 * image.rays_across(THIN * radius_m, distance_m) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     count, number = cv2.connectedComponents(cv2.erode(surface.view(np.uint8), disc), connectivity=4)
+    if whole and count == 1:
+        yield from _parts(points_m, surface, radius_m)
     for n in range(1, count):
         bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
         if _fits(points_m[bulk], radius_m):
