@@ -61,10 +61,27 @@ def places(
         if np.count_nonzero(within) >= LEAST_RAYS:
             yield within
         return
-    found = []
     number, sizes = _labelled_surfaces(image, free, radius_m)
     inside = _surfaces_within_image(number, sizes, free)
-    for surface in _surfaces(number, sizes, free):
+    tried: set[bytes] = set()
+    for place in _candidates(image, points_m, _surfaces(number, sizes, free), radius_m)[:MOST_PLACES]:
+        together = _with_others(points_m, inside, place, radius_m)
+        for each in (place,) if together is None else (together, place):
+            if each.tobytes() not in tried:
+                yield each
+            tried.add(each.tobytes())
+
+
+def _candidates(
+    image: RangeImage, points_m: FloatArray, surfaces: list[NDArray[np.bool_]], radius_m: float
+) -> list[NDArray[np.bool_]]:
+    """Return the places on surfaces, those on the surfaces of most rays first.
+
+    A thin target that an arm prolongs has no bulky part. So parts of thin surfaces that the image's border
+    cuts come last.
+    """
+    found, thin = list[tuple[int, NDArray[np.bool_]]](), list[NDArray[np.bool_]]()
+    for surface in surfaces:
         some = [
             place
             for place in _of_size(image, points_m, surface, radius_m)
@@ -72,16 +89,12 @@ def places(
         ]
         if some and some[-1] is surface:  # first without its limbs, then with them
             found += [(np.count_nonzero(surface), place) for place in some]
+            if len(some) == 1 and at_border(surface):
+                thin += _parts(points_m, surface, radius_m)
         else:
             found += [(np.count_nonzero(place), place) for place in some]
     found.sort(key=lambda entry: -entry[0])
-    tried: set[bytes] = set()
-    for _, place in found[:MOST_PLACES]:
-        together = _with_others(points_m, inside, place, radius_m)
-        for each in (place,) if together is None else (together, place):
-            if each.tobytes() not in tried:
-                yield each
-            tried.add(each.tobytes())
+    return [place for _, place in found] + thin
 
 
 def _with_others(
@@ -200,8 +213,7 @@ def _of_size(
     """Yield a surface if it may be the target, and the bulky parts of one that may be larger.
 
     A surface that the image's border cuts may be larger: an arm that holds the target reaches into the image
-    from outside. Bulky parts are what is left without thin limbs. A thin target that an arm prolongs has
-    none, so that its nearest parts of the target's size are tried.
+    from outside. Bulky parts are what is left without thin limbs.
     """
     whole = _fits(points_m[surface], radius_m)
     if whole and not at_border(surface):
@@ -211,8 +223,6 @@ def _of_size(
     width = 2 * image.rays_across(THIN * radius_m, distance_m) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     count, number = cv2.connectedComponents(cv2.erode(surface.view(np.uint8), disc), connectivity=4)
-    if whole and count == 1:
-        yield from _parts(points_m, surface, radius_m)
     for n in range(1, count):
         bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
         if _fits(points_m[bulk], radius_m):
