@@ -155,7 +155,8 @@ def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDA
     for other in (Label.HIDING, Label.BEYOND):
         around = cv2.boxFilter((measured & (label == other)).view(np.uint8), -1, (3, 3), normalize=False)
         filled[unknown & (around > _MOST)] = other
-    count, region = cv2.connectedComponents((~measured).view(np.uint8), connectivity=4)
+    count, numbers = cv2.connectedComponents((~measured).view(np.uint8), connectivity=4)
+    region = np.asarray(numbers, np.intp)
     beyond, beside = np.zeros(count, bool), np.zeros(count, bool)
     beyond[region[~measured & (label == Label.BEYOND)]] = True
     kept = (measured & (label == Label.KEPT)).view(np.uint8)
