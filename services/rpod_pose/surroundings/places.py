@@ -88,11 +88,11 @@ def _candidates(
             if np.count_nonzero(place) >= LEAST_RAYS
         ]
         if some and some[-1] is surface:  # first without its limbs, then with them
-            found += [(np.count_nonzero(surface), place) for place in some]
+            found += [(int(np.count_nonzero(surface)), place) for place in some]
             if len(some) == 1 and at_border(surface):
                 thin += _parts(points_m, surface, radius_m)
         else:
-            found += [(np.count_nonzero(place), place) for place in some]
+            found += [(int(np.count_nonzero(place)), place) for place in some]
     found.sort(key=lambda entry: -entry[0])
     return [place for _, place in found] + thin
 
