@@ -77,8 +77,8 @@ class PmdFrame(SensorFrame):
     """Standard deviation of each pixel's depth as the camera states it, m, float32, shape (height, width);
     None if it states none."""
     hidden: Image | None = None
-    """Pixels that tell nothing of the target, because a known body is there, bool, shape (height, width);
-    None if no body is known."""
+    """Pixels that tell nothing of the target, because something else is there, bool, shape (height, width);
+    None if no such thing is known."""
 
     @property
     def lens(self) -> Camera:

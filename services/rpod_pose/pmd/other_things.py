@@ -22,8 +22,14 @@ DARK = 0.1
 shades of a target's materials."""
 
 
+_SIGMA_OF_BEND = 1.21
+"""Standard deviation of a normal error over the median size of one less the mean of two others. Physics:
+1.483 / sqrt(1.5)."""
 _BESIDE = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
 """The four pixels that share a side with one."""
+_MOST = 4
+"""Half of the pixels around one. Physics: of the eight around a pixel at the straight outline of a dark
+target three or less are beside the target."""
 _AROUND, _NEAR_PX = np.ones((3, 3), np.uint8), (5, 5)
 """A pixel with those around it, and the size, px, in which one finds pixels that see other things alone.
 Hand: two pixels to each side are past the blur."""
@@ -57,27 +63,32 @@ class PmdFrames:
         except DistortionError:
             return None
         grid = view.rays(1) if stride == 1 else view.coarse
-        depth_m = frame.depth_m[view.offset :: stride, view.offset :: stride]
+        every = (slice(view.offset, None, stride),) * 2
+        depth_m = frame.depth_m[every]
         depth_m = np.where((depth_m > NEAREST_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
-        hidden = None if frame.hidden is None else frame.hidden[view.offset :: stride, view.offset :: stride]
-        return RangeImage(grid, (depth_m / grid.components[2]).astype(np.float32), hidden)
+        hidden = None if frame.hidden is None else frame.hidden[every]
+        range_m = (depth_m / grid.components[2]).astype(np.float32)
+        noise_m = _noise_m(range_m, frame.amplitude[every]) if fine and frame.amplitude is not None else None
+        return RangeImage(grid, range_m, hidden, noise_m)
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame that is dark beside the target, and saturated where something hides it.
 
         Without an amplitude no pixel can be dark: what lies beyond the target inside its outline stays.
         """
-        label = upsampled(labels, frame.depth_m.shape)
+        measured = frame.depth_m > 0.0
+        label = _of_unmeasured(upsampled(labels, frame.depth_m.shape), measured)
         hiding, beyond = label == Label.HIDING, label == Label.BEYOND
         if frame.amplitude is None:
             beyond &= ~upsampled(inside, frame.depth_m.shape)
-        images = {"depth_m": np.where(hiding | beyond, np.float32(np.nan), frame.depth_m)}
+        hidden = hiding if frame.hidden is None else hiding | frame.hidden
+        images = {"depth_m": np.where(hiding | beyond, np.float32(np.nan), frame.depth_m), "hidden": hidden}
         if frame.amplitude is not None:
-            kept = (label == Label.KEPT) & (frame.depth_m > 0.0)
+            kept = label == Label.KEPT
             amplitude = np.where(hiding, frame.amplitude.dtype.type(0), frame.amplitude)
-            sides = _Sides(kept, beyond & (frame.depth_m > 0.0))
-            unmixed = _unmixed(frame, amplitude, sides, _sky(frame, kept))
-            images["amplitude"] = np.where(beyond, unmixed, amplitude)
+            sides = _Sides(kept, measured, beyond & measured)
+            unmixed = _unmixed(frame, amplitude, sides, _sky(frame, kept & measured))
+            images["amplitude"] = np.where(beyond | sides.unclear, unmixed, amplitude)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
         return frame.model_copy(update=images)
@@ -110,51 +121,139 @@ class PmdFrames:
         return frame.range_image_m
 
 
+def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:
+    """Return the standard deviation of each range's noise, m, (height, width); None without neighbours.
+
+    It is proportional to one over the amplitude. The second differences of neighbouring ranges tell the
+    factor, since a plane has none.
+
+    Args:
+        range_m: ranges, 0 without one, shape (height, width).
+        amplitude: amplitudes, same shape.
+    """
+    left, middle, right = range_m[:, :-2], range_m[:, 1:-1], range_m[:, 2:]
+    known = (left > 0.0) & (middle > 0.0) & (right > 0.0)
+    if not known.any():
+        return None
+    bend_m = np.abs(middle - 0.5 * (left + right))[known]
+    factor = float(np.median(bend_m * amplitude[:, 1:-1][known])) * _SIGMA_OF_BEND
+    return np.asarray(factor / np.maximum(amplitude, 1.0), np.float32)
+
+
+def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return labels in which a pixel without a range belongs to the thing that it is a part of.
+
+    A surface loses the range of single pixels, and a dark or remote part of a room that of all its pixels.
+    Their light would seem to be a part of the target without a range.
+
+    Args:
+        label: ``Label`` of each pixel, shape (height, width).
+        measured: pixels with a range, same shape.
+    """
+    filled = label.copy()
+    unknown = ~measured & (label == Label.KEPT)
+    for other in (Label.HIDING, Label.BEYOND):
+        around = cv2.boxFilter((measured & (label == other)).view(np.uint8), -1, (3, 3), normalize=False)
+        filled[unknown & (around > _MOST)] = other
+    count, numbers = cv2.connectedComponents((~measured).view(np.uint8), connectivity=4)
+    region = np.asarray(numbers, np.intp)
+    beyond, beside = np.zeros(count, bool), np.zeros(count, bool)
+    beyond[region[~measured & (label == Label.BEYOND)]] = True
+    kept = (measured & (label == Label.KEPT)).view(np.uint8)
+    beside[region[cv2.dilate(kept, _AROUND) > 0]] = True
+    filled[unknown & (beyond & ~beside)[region]] = Label.BEYOND
+    return filled
+
+
 def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: np.uint16) -> Array:
-    """Return the amplitudes that pixels beyond the target would have before the sky, shape (height, width).
+    """Return the amplitudes of the outline's pixels without the light of what is beyond, (height, width).
 
     A pixel at the outline sees the target and what is behind it. Its range is between both, nearer to that of
     which it gets more light. With the amplitudes on both sides this tells how much of the pixel the target
     covers. A pixel at the range of what is behind is not covered at all, as those of a camera that does not
-    mix ranges. Where the side behind is not known a half counts, which is right on average.
+    mix ranges. Where the target or the pixel has no range, the amplitude itself lies between those of both
+    sides. Where a side is not known a half counts, which is right on average. The target's light is at most
+    that of the whole pixel.
     """
-    near_m, lit = sides.mean_of_target(frame.depth_m), sides.mean_of_target(amplitude)
+    near_m, lit = sides.range_of_target(frame.depth_m), sides.light_of_target(amplitude)
     far_m, behind = sides.mean_of_others(frame.depth_m), sides.mean_of_others(amplitude)
+    inner = sides.mean_of_inner(amplitude)
     with np.errstate(invalid="ignore", divide="ignore"):
         light = np.clip((far_m - frame.depth_m) / (far_m - near_m), 0.0, 1.0)
-        covered = light * behind / (light * behind + (1.0 - light) * lit)
+        by_range = light * behind / (light * behind + (1.0 - light) * lit)
+        by_light = np.clip((behind - amplitude) / (behind - inner), 0.0, 1.0)
+    ranged = np.isfinite(by_range)
+    lit = np.where(ranged | ~np.isfinite(inner), lit, inner)
+    covered = np.where(ranged, by_range, by_light)
     covered = np.where(np.isfinite(covered), covered, np.float32(0.5))
     mixed = np.where(sides.touches, covered * lit + (1.0 - covered) * sky, float(sky))
-    return np.asarray(mixed).astype(amplitude.dtype)
+    return np.asarray(np.minimum(mixed, np.maximum(amplitude, sky))).astype(amplitude.dtype)
 
 
 class _Sides:
     """Means over the pixels on both sides of the target's outline.
 
     Args:
-        kept: pixels with a range on the target, shape (height, width).
+        kept: pixels on the target, shape (height, width).
+        measured: pixels with a range, same shape.
         others: pixels with a range on other things beyond it, same shape.
     """
 
-    def __init__(self, kept: NDArray[np.bool_], others: NDArray[np.bool_]) -> None:
-        self._kept = kept.astype(np.float32)
-        self._beside = cv2.filter2D(self._kept, -1, _BESIDE)
-        self.touches: NDArray[np.bool_] = self._beside > 0.5
+    def __init__(
+        self, kept: NDArray[np.bool_], measured: NDArray[np.bool_], others: NDArray[np.bool_]
+    ) -> None:
+        self._kept, self._ranged = kept.astype(np.float32), (kept & measured).astype(np.float32)
+        self.touches: NDArray[np.bool_] = cv2.filter2D(self._kept, -1, _BESIDE) > 0.5
         """Pixels beside one of the target."""
+        beside = cv2.dilate(others.astype(np.uint8), _AROUND) > 0
+        self.unclear: NDArray[np.bool_] = kept & ~measured & beside
+        """Pixels without a range that may be the target's, beside another thing."""
+        self._inner = (kept & ~beside).astype(np.float32)
         self._others = (others & ~(cv2.dilate(kept.astype(np.uint8), _AROUND) > 0)).astype(np.float32)
 
-    def mean_of_target(self, image: Array) -> Float32Array:
-        """Return the mean of the target's pixels that share a side with each pixel; 0 without one."""
-        sums = cv2.filter2D(np.where(self._kept > 0, image, 0).astype(np.float32), -1, _BESIDE)
-        return np.asarray(sums / np.maximum(self._beside, 1.0), np.float32)
+    def light_of_target(self, amplitude: Array) -> Float32Array:
+        """Return the mean of the target's pixels that share a side with each pixel; NaN without one."""
+        return _mean(amplitude, self._kept)
+
+    def range_of_target(self, depth_m: Float32Array) -> Float32Array:
+        """Return the same mean of the pixels with a range."""
+        return _mean(depth_m, self._ranged)
+
+    def mean_of_inner(self, image: Array) -> Float32Array:
+        """Return the mean of the pixels around each pixel that see the target alone; NaN without one."""
+        return _mean_around(image, self._inner)
 
     def mean_of_others(self, image: Array) -> Float32Array:
         """Return the mean of the pixels around each pixel that see other things alone; NaN without one."""
-        sums, count = (
-            cv2.boxFilter(part, -1, _NEAR_PX, normalize=False)
-            for part in (np.where(self._others > 0, image, 0).astype(np.float32), self._others)
-        )
-        return np.where(count > 0.5, sums / np.maximum(count, 1.0), np.float32(np.nan))
+        return _mean_around(image, self._others)
+
+
+def _mean_around(image: Array, pixels: Float32Array) -> Float32Array:
+    """Return the mean of those pixels that lie around each pixel, (height, width); NaN without one.
+
+    Args:
+        image: values, shape (height, width).
+        pixels: 1 at the pixels that count, 0 elsewhere, same shape.
+    """
+    sums, count = (
+        cv2.boxFilter(part, -1, _NEAR_PX, normalize=False)
+        for part in (np.where(pixels > 0, image, 0).astype(np.float32), pixels)
+    )
+    return np.where(count > 0.5, sums / np.maximum(count, 1.0), np.float32(np.nan))
+
+
+def _mean(image: Array, pixels: Float32Array) -> Float32Array:
+    """Return the mean of those pixels that share a side with each pixel, (height, width); NaN without one.
+
+    Args:
+        image: values, shape (height, width).
+        pixels: 1 at the pixels that count, 0 elsewhere, same shape.
+    """
+    sums, count = (
+        cv2.filter2D(part, -1, _BESIDE)
+        for part in (np.where(pixels > 0, image, 0).astype(np.float32), pixels)
+    )
+    return np.where(count > 0.5, sums / np.maximum(count, 1.0), np.float32(np.nan))
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:

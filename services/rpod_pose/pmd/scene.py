@@ -70,10 +70,12 @@ class PmdScene:
     """Pixels on which depth or amplitude show a surface."""
     blind: NDArray[np.bool_]
     """Pixels on which a glint saturated both: there may be a surface or not."""
-    least_amplitude: float
-    """Least amplitude of a lit pixel; infinite without an amplitude image."""
     points_m: FloatArray
     """The measured points of the target, sensor axes, shape (N, 3)."""
+    hidden: NDArray[np.bool_]
+    """Pixels on which something else hides what is behind it."""
+    least_amplitude: float
+    """Least amplitude of a lit pixel; infinite without an amplitude image."""
 
     @property
     def outlined(self) -> bool:
@@ -86,9 +88,12 @@ class PmdScene:
 
     @cached_property
     def surface(self) -> ImagePoints:
-        """The surface that the frame shows: a pixel without depth takes the nearest pixel's."""
+        """The surface that the frame shows: a pixel without depth takes the nearest pixel's.
+
+        What hides the target may extend far beyond it, so that hidden pixels would move the centroid.
+        """
         nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
-        shown = self.lit | self.blind
+        shown = self.lit | (self.blind & ~self.hidden)
         points_m = (self.view.coarse.components * self.range_m[*nearest])[:, shown].T
         return ImagePoints(np.ascontiguousarray(points_m))
 
@@ -172,6 +177,7 @@ def _strided(
         view: the coarse pixels.
         reach_m: distance along a ray within which a surface belongs to the target, m.
     """
+    every = (slice(view.offset, None, view.stride),) * 2
     shown_m = np.where(shown, frame.depth_m, np.float32(np.nan))
     depth_m = downsampled(shown_m, view.stride, view.offset)
     rays = view.coarse.components
@@ -179,13 +185,16 @@ def _strided(
     nearby = _around(rays, range_m, reach_m)
     amplitude, lit, blind, least = _amplitudes(frame.amplitude, view, range_m == 0.0, dim)
     if frame.saturated is not None:  # lit, by an amplitude that is unknown
-        saturated = frame.saturated[view.offset :: view.stride, view.offset :: view.stride]
+        saturated = frame.saturated[every]
         amplitude[saturated] = 0.0
         lit |= saturated & (range_m == 0.0)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
     sigma_m = noise_sigma(shown_m, view.stride, view.offset, depth_m.shape)
-    return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, least, points_m)
+    hidden = np.zeros(lit.shape, bool)
+    if frame.hidden is not None:
+        hidden = (cv2.dilate(frame.hidden.astype(np.uint8), TOUCHED) > 0)[every]
+    return PmdScene(view, range_m, sigma_m, amplitude, lit | nearby, blind & ~nearby, points_m, hidden, least)
 
 
 def _amplitudes(

@@ -15,7 +15,7 @@ from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
-from rpod_pose.surroundings.separation import Margin, RangeImage, Sight, with_target_at
+from rpod_pose.surroundings.separation import SIGMAS, Margin, RangeImage, Sight, with_target_at
 from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Source
@@ -30,9 +30,6 @@ NARROW = 0.06
 BIAS_SIGMAS = 2.0
 """Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
 before a pose tells this error. Physics: one in 22 normal errors is larger."""
-SIGMAS = 4.0
-"""Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
-errors is larger."""
 LEAST_VISIBLE = 0.2
 """Least share of the target that other things must leave visible. Hand: a track can go on with little;
 ``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""

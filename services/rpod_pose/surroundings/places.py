@@ -61,27 +61,40 @@ def places(
         if np.count_nonzero(within) >= LEAST_RAYS:
             yield within
         return
-    found = []
     number, sizes = _labelled_surfaces(image, free, radius_m)
     inside = _surfaces_within_image(number, sizes, free)
-    for surface in _surfaces(number, sizes, free):
+    tried: set[bytes] = set()
+    for place in _candidates(image, points_m, _surfaces(number, sizes, free), radius_m)[:MOST_PLACES]:
+        together = _with_others(points_m, inside, place, radius_m)
+        for each in (place,) if together is None else (together, place):
+            if each.tobytes() not in tried:
+                yield each
+            tried.add(each.tobytes())
+
+
+def _candidates(
+    image: RangeImage, points_m: FloatArray, surfaces: list[NDArray[np.bool_]], radius_m: float
+) -> list[NDArray[np.bool_]]:
+    """Return the places on surfaces, those on the surfaces of most rays first.
+
+    A thin target that an arm prolongs has no bulky part. So parts of thin surfaces that the image's border
+    cuts come last.
+    """
+    found, thin = list[tuple[int, NDArray[np.bool_]]](), list[NDArray[np.bool_]]()
+    for surface in surfaces:
         some = [
             place
             for place in _of_size(image, points_m, surface, radius_m)
             if np.count_nonzero(place) >= LEAST_RAYS
         ]
         if some and some[-1] is surface:  # first without its limbs, then with them
-            found += [(np.count_nonzero(surface), place) for place in some]
+            found += [(int(np.count_nonzero(surface)), place) for place in some]
+            if len(some) == 1 and at_border(surface):
+                thin += _parts(points_m, surface, radius_m)
         else:
-            found += [(np.count_nonzero(place), place) for place in some]
+            found += [(int(np.count_nonzero(place)), place) for place in some]
     found.sort(key=lambda entry: -entry[0])
-    tried: set[bytes] = set()
-    for _, place in found[:MOST_PLACES]:
-        together = _with_others(points_m, inside, place, radius_m)
-        for each in (place,) if together is None else (together, place):
-            if each.tobytes() not in tried:
-                yield each
-            tried.add(each.tobytes())
+    return [place for _, place in found] + thin
 
 
 def _with_others(

@@ -31,6 +31,9 @@ the mixed pixels of the outline."""
 AROUND = 1.2
 """Radius, in radii of the target, within which a thing that extends beyond the target's reach is seen. Hand:
 what only touches the reach, with the noise of its ranges, is not counted."""
+SIGMAS = 4.0
+"""Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
+errors is larger."""
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 """A ray and those around it. Physics: 3 x 3."""
 MOST_RAYS = 24
@@ -58,13 +61,15 @@ class RangeImage:
     hidden: NDArray[np.bool_] | None = None
     """Rays that tell nothing of the target, because a known body is there, same shape; None if no body is
     known."""
+    sigma_m: Float32Array | None = None
+    """Standard deviation of each range's noise, same shape; None if it is not known."""
 
     def corrected(self, bias_m: float) -> "RangeImage":
-        """Return the image without an error that all ranges share."""
+        """Return the image without an error that all ranges share; a ray without a range stays without."""
         if bias_m == 0.0:
             return self
         shorter_m = np.maximum(self.range_m - np.float32(bias_m), np.float32(0.0))
-        return replace(self, range_m=shorter_m)
+        return replace(self, range_m=np.where(self.range_m > 0.0, shorter_m, np.float32(0.0)))
 
     @property
     def points_m(self) -> FloatArray:
@@ -188,6 +193,34 @@ def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     return float(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
 
 
+def _going_on(
+    image: RangeImage,
+    rendered_m: Float32Array,
+    around: NDArray[np.bool_],
+    reach: int,
+    margin_m: float,
+) -> NDArray[np.bool_]:
+    """Return the rays just outside the target's reach at which a surface goes on at its range.
+
+    The target ends within its reach, so such a surface is another thing's, which touches the target or passes
+    it: an arm, a table.
+
+    Args:
+        image: ranges of a frame.
+        rendered_m: ranges of the target at a pose, infinite beside it, shape (rows, columns).
+        around: rays within reach of the rendered target, same shape.
+        reach: number of rays by which the target may be displaced.
+        margin_m: error of its ranges.
+    """
+    farther = np.ones((2 * reach + 3, 2 * reach + 3), np.uint8)
+    met = np.isfinite(rendered_m)
+    just_outside = _widened(met, farther) & ~around & (image.range_m > 0.0)
+    nearest_m = cv2.erode(rendered_m, farther, borderValue=np.inf) - margin_m
+    farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), farther) + margin_m
+    past: NDArray[np.bool_] = just_outside & (nearest_m < image.range_m) & (image.range_m < farthest_m)
+    return past
+
+
 class Margin(NamedTuple):
     """Limits of the errors of a pose."""
 
@@ -201,7 +234,9 @@ def with_target_at(
     image: RangeImage, target: Target, T_sensor_target: RigidTransform, margin: Margin
 ) -> Sight:
     """Return what a pose says of each ray, if it is wrong by up to a margin."""
-    margin_m = margin.range_m
+    margin_m: FloatArray | float = margin.range_m
+    if image.sigma_m is not None:
+        margin_m = np.maximum(margin_m, SIGMAS * image.sigma_m)
     closed = target.field is not None
     hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=closed)
     rendered_m, measured_m = hits.range_m, image.range_m
@@ -217,9 +252,12 @@ def with_target_at(
     labels[measured & around & (measured_m > farthest_m)] = Label.BEYOND
     labels[measured & around & (measured_m < nearest_m)] = Label.HIDING
     labels = with_bodies(labels, image)
+    past = _going_on(image, rendered_m, around, reach, margin.range_m)
+    labels[~met & measured & (labels == Label.KEPT) & _widened(past, shape)] = Label.HIDING
     hidden = met & (labels == Label.HIDING)
     ring, outside_m = _beside(image, met, rendered_m, target.radius_m)
-    continued = ring & measured & (np.abs(measured_m - outside_m) < max(margin_m, BESIDE * target.radius_m))
+    beside_m = max(margin.range_m, BESIDE * target.radius_m)
+    continued = ring & measured & (np.abs(measured_m - outside_m) < beside_m)
     return Sight(
         labels,
         inside,

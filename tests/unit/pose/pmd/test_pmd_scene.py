@@ -93,6 +93,23 @@ def test_lost_depth_hardly_moves_the_middle_of_what_is_seen():
     assert np.linalg.norm(result.surface.points_m.mean(axis=0) - middle_m) < 0.1
 
 
+def test_what_hides_the_target_does_not_move_the_middle_of_what_is_seen():
+    """An arm may reach far beyond the target; a part that a glint wiped out is the target's."""
+    arm = np.zeros(ideal().depth_m.shape, bool)
+    arm[:100, 40:60] = True
+    seen = frame_of(ideal().depth_m, amplitude=np.where(arm, 0, shade(200)).astype(np.uint16))
+    middles_m = []
+    for hidden in (None, arm):
+        result = scene_of(
+            seen.model_copy(update={"hidden": hidden}), PmdSceneConfig(), radius_m=mockup().radius_m
+        )
+        assert isinstance(result, PmdScene)
+        middles_m.append(result.surface.points_m.mean(axis=0))
+    right_m = scene(ideal().depth_m, shade(200)).surface.points_m.mean(axis=0)
+    assert np.linalg.norm(middles_m[0] - right_m) > 0.05
+    assert np.linalg.norm(middles_m[1] - right_m) < 0.01
+
+
 def test_other_materials_change_the_loss_of_the_amplitude_alone():
     R, t = POSE.rotation.as_matrix(), POSE.translation
     even = scene(ideal().depth_m, shade(200))

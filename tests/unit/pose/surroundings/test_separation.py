@@ -76,3 +76,55 @@ def test_surfaces_that_together_have_the_targets_size_are_searched_as_one_withou
     np.testing.assert_array_equal(first, whole)
     assert len(others) == 2
     np.testing.assert_array_equal(others[0] | others[1], whole)
+
+
+@pytest.mark.parametrize("bias_m", [-0.1, 0.1])
+def test_a_ray_without_a_range_hides_nothing_whatever_error_the_ranges_share(bias_m):
+    range_m = np.where(seen() > 0.0, seen() + np.float32(bias_m), np.float32(0.0))
+    range_m[:, ::2] = 0.0
+    image = RangeImage(GRID, range_m).corrected(bias_m)
+    np.testing.assert_array_equal(image.range_m > 0.0, range_m > 0.0)
+    assert with_target_at(image, TARGET, POSE, ERRORS).visible_share > 0.99
+
+
+def test_what_goes_on_beyond_the_targets_reach_tells_nothing_of_its_outline():
+    range_m = seen()
+    column = round(87.5 + 341.0 * 0.1 / 4.0)
+    top = int(np.flatnonzero(range_m[:, column])[0])
+    limb = np.zeros(range_m.shape, bool)
+    limb[:top, column - 2 : column + 7] = range_m[:top, column - 2 : column + 7] == 0.0
+    with_limb = np.where(limb, range_m[top, column], range_m)
+    alone, held = (
+        with_target_at(RangeImage(GRID, each), TARGET, POSE, ERRORS) for each in (range_m, with_limb)
+    )
+    reached = limb & (held.labels != Label.BEYOND)
+    assert np.mean(held.labels[reached] == Label.KEPT) < 0.05
+    assert (limb & (held.labels == Label.HIDING)).any()
+    np.testing.assert_array_equal(held.labels[~limb], alone.labels[~limb])
+    assert held.visible_share == alone.visible_share
+    limb[: top - 4] = False  # it ends within reach, as a detail of the target does
+    ending = with_target_at(RangeImage(GRID, np.where(limb, with_limb, range_m)), TARGET, POSE, ERRORS)
+    assert (limb & (ending.labels == Label.KEPT)).any()
+
+
+def test_a_noisy_range_of_the_target_neither_hides_it_nor_passes_it():
+    range_m, generator = seen(), np.random.default_rng(2)
+    noisy = np.where(range_m > 0.0, range_m + generator.normal(0.0, 0.2, range_m.shape), 0.0)
+    sigma_m = np.full(range_m.shape, 0.2, np.float32)
+    unknown, known = (
+        with_target_at(RangeImage(GRID, noisy.astype(np.float32), sigma_m=each), TARGET, POSE, ERRORS)
+        for each in (None, sigma_m)
+    )
+    on_target = range_m > 0.0
+    assert np.mean(unknown.labels[on_target] == Label.KEPT) < 0.8
+    assert np.mean(known.labels[on_target] == Label.KEPT) > 0.99
+
+
+def test_a_thin_body_that_an_arm_prolongs_is_searched_without_most_of_the_arm_too():
+    range_m, radius_m = np.zeros(GRID.shape, np.float32), 0.5
+    range_m[:105, 82:95] = 4.0  # 1.2 m x 0.15 m, from the image's border
+    range_m[60:105, 82:95] = 3.95
+    whole, part, *_ = places(RangeImage(GRID, range_m), radius_m)
+    np.testing.assert_array_equal(whole, range_m > 0.0)
+    assert not part[:10].any()
+    assert part[75:105].sum() > 0.9 * np.count_nonzero(range_m[75:105])
