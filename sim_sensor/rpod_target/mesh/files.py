@@ -1,4 +1,4 @@
-"""Reader of CAD and mesh files: STL, OBJ, PLY, glTF, GLB, and STEP where the extra ``step`` is installed.
+"""Reader of CAD and mesh files: STL, OBJ, PLY, OFF, glTF, GLB, and STEP with the extra ``step``.
 
 Files are read by trimesh, without any cleaning: every triangle of the file is returned, also those of zero
 area, which a closed surface needs.
@@ -16,15 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.mesh import obj_text
+from rpod_target.mesh import gltf_arrays, obj_text, off_text
+from rpod_target.mesh.text import as_utf8, file_of, with_line_feeds
 from rpod_target.mesh.topology import areas_m2
 from rpod_target.mesh.unusable import unusable, without_faces
 
-FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
+FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".off", ".step", ".stp")
 """Suffixes of the files that can be read."""
 METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
 _STEP = (".step", ".stp")
+_TEXTS = (".obj", ".off")
+_GLTF = (".gltf", ".glb")
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class MeshFile:
 
 def companions(name: str, content: bytes) -> tuple[str, ...]:
     """Return the names of the files that a mesh file refers to and that are read with it."""
-    suffix = _suffix(name)
+    suffix, content = _suffix(name), as_utf8(content)
     if suffix == ".obj":
         return obj_text.libraries(content)
     if suffix == ".gltf":
@@ -66,7 +69,7 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
             names = [str(entry.get("uri", "")) for entry in buffers]
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
             return ()  # its reader refuses what is no glTF
-        return tuple(uri for uri in names if uri and not uri.startswith("data:"))
+        return tuple(file_of(uri) for uri in names if uri and not uri.startswith("data:"))
     return ()
 
 
@@ -81,7 +84,7 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     Raises:
         ValueError: the content is wrong; the text continues a sentence that begins with the file's name.
     """
-    suffix, folder = _suffix(name), PurePosixPath(name).parent
+    suffix, folder, content = _suffix(name), PurePosixPath(name).parent, as_utf8(content)
     beside = {
         other: beside[str(folder / other)]
         for other in companions(name, content)
@@ -91,13 +94,11 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
     if reason := unusable(suffix, content):
         raise ValueError(reason)
-    if suffix == ".obj":
-        content, beside = obj_text.prepared(content, beside)
-    scene = _scene(suffix, content, beside)
+    scene = _scene(*_prepared(suffix, content, beside))
     pieces = list(_pieces(scene))
     if not pieces:
         raise ValueError(without_faces(list(scene.geometry.values())))
-    if suffix == ".obj":
+    if suffix in _TEXTS:
         pieces.reverse()  # the reader returns them from the last to the first
     materials = tuple({piece.material.name: piece.material for piece in pieces if piece.material}.values())
     objects = tuple(dict.fromkeys(piece.name for piece in pieces))
@@ -113,6 +114,22 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     if not np.isfinite(mesh.triangles).all():
         raise ValueError("contains a coordinate that is not finite: export it again")
     return mesh
+
+
+def _prepared(
+    suffix: str, content: bytes, beside: Mapping[str, bytes]
+) -> tuple[str, bytes, Mapping[str, bytes]]:
+    """Return the format, content and companions of a file in the way that its reader needs them.
+
+    Raises:
+        ValueError: as for ``read_mesh_file``.
+    """
+    if suffix == ".off":
+        content, library = off_text.as_obj(with_line_feeds(content))
+        return ".obj", *obj_text.prepared(content, {"": library})
+    if suffix == ".obj":
+        return suffix, *obj_text.prepared(content, beside)
+    return suffix, content, beside
 
 
 def surface_m(path: Path, metres_per_unit: float) -> FloatArray:
@@ -146,9 +163,9 @@ class _Beside:
 
     def get(self, name: str) -> bytes:
         """Return the bytes of a companion. Raises ``OSError``."""
-        found = self._files.get(str(name))
+        found = self._files.get(file_of(str(name)))
         if found is None:
-            self.missing = str(name)
+            self.missing = file_of(str(name))
             raise FileNotFoundError(name)
         return found
 
@@ -171,11 +188,13 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
         options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
     others = _Beside(beside)
     try:
+        if suffix in _GLTF:
+            content, others = _whole(content, others)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return trimesh.load_scene(
                 io.BytesIO(content),
-                file_type=suffix[1:],
+                file_type="gltf" if suffix == ".glb" and not content.startswith(b"glTF") else suffix[1:],
                 resolver=others,  # type: ignore[arg-type]
                 process=False,
                 maintain_order=True,
@@ -190,6 +209,12 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
         raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
     except Exception as error:  # a parser of foreign files raises anything
         raise ValueError(_unread(suffix, error)) from error
+
+
+def _whole(content: bytes, others: _Beside) -> tuple[bytes, _Beside]:
+    """Return a glTF document with all its triangles, and the files that it refers to."""
+    content, files = gltf_arrays.prepared(content, others.get)
+    return content, others if files is None else _Beside(files)
 
 
 _STEP_DEFLECTION = 0.001
