@@ -15,7 +15,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.drafting.materials import proposed
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
-from rpod_target.mesh.files import METRIC, MeshFile, companions, read_mesh_file
+from rpod_target.mesh.files import METRIC, STEP, MeshFile, companions, read_mesh_file
 from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
 from rpod_target.target import Target
 
@@ -152,8 +152,13 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
     if options.units is not None and options.units not in METRES:
         raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
     by_unit = None if options.units is None else METRES[options.units]
+    states_its_unit = cad.suffix.lower() in STEP
+    if states_its_unit and by_unit is not None:
+        if options.units not in ("m", *mesh.units) and options.longest_side_m is None:
+            raise TargetError(cad, "--units", _own_unit(mesh, longest))
+        by_unit = 1.0
     if by_unit is None and options.longest_side_m is None and cad.suffix.lower() in METRIC:
-        told.append("the format is in metres")
+        told.append(_AS_STATED if states_its_unit else "the format is in metres")
         by_unit = 1.0
     if options.longest_side_m is not None:
         scale = options.longest_side_m / longest
@@ -167,16 +172,33 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
         reason = f"is missing, and the file does not state its unit; its longest side is {longest:.4g} units"
         raise TargetError(cad, "--units", f"{reason}: {_usual(longest)}; or give --longest-side-m")
     if not usual_size(by_unit * longest) and not options.confirmed_size:
-        raise TargetError(cad, "--units", _other_units(by_unit, longest))
+        raise TargetError(cad, "--units", _other_units(by_unit, longest, states_its_unit=states_its_unit))
     return by_unit
 
 
-def _other_units(by_unit: float, longest: float) -> str:
-    """Return why a size is refused, with the units that would give a usual one."""
+_AS_STATED = "the unit is the one that the file states"
+
+
+def _own_unit(mesh: MeshFile, longest: float) -> str:
+    """Return why a unit is refused that a STEP file does not name."""
+    named = f" ({', '.join(mesh.units)})" if mesh.units else ""
     return (
-        f"makes the target's longest side {by_unit * longest:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m "
-        f"are usual: {_usual(longest)}; or give --longest-side-m; if the size is right, give --confirm-size, "
-        "which writes confirmed_size: true"
+        f"is not needed: the file states its own unit{named}, by which the longest side is {longest:.4g} m; "
+        "leave --units out, or give --longest-side-m if this is wrong"
+    )
+
+
+def _other_units(by_unit: float, longest: float, *, states_its_unit: bool) -> str:
+    """Return why a size is refused, with the units that would give a usual one."""
+    reason = (
+        f"the unit that the file states makes its longest side {longest:.4g} m"
+        if states_its_unit
+        else f"makes the target's longest side {by_unit * longest:.4g} m"
+    )
+    remedy = "give" if states_its_unit else f"{_usual(longest)}; or give"
+    return (
+        f"{reason}, and {SMALLEST_M} m to {LARGEST_M:.0f} m are usual: {remedy} --longest-side-m; if the "
+        "size is right, give --confirm-size, which writes confirmed_size: true"
     )
 
 

@@ -252,3 +252,40 @@ def test_instances_are_refused_since_their_reader_shows_one_of_them() -> None:
     made = document(PLAIN, TETRAHEDRON, extensionsUsed=["EXT_mesh_gpu_instancing"])
     with pytest.raises(ValueError, match=r"instances of meshes \(EXT_mesh_gpu_instancing\).*without this"):
         read_mesh_file(*files(made, joined(TETRAHEDRON), "glb"))
+
+
+def two_materials(names: tuple[str, str]) -> dict[str, Any]:
+    """Return a document with two nodes of one mesh, which has a yellow and a blue primitive."""
+    made = document(PLAIN | {"material": 0}, TETRAHEDRON)
+    made["accessors"] += [
+        SHORTS | {"bufferView": 1, "count": 6},
+        SHORTS | {"bufferView": 1, "byteOffset": 12, "count": 6},
+    ]
+    made["meshes"][0]["primitives"] = [PLAIN | {"indices": 2 + n, "material": n} for n in (0, 1)]
+    made["materials"] = [
+        {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}}
+        if name
+        else {"pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}}
+        for name, colour in zip(names, ((1.0, 1.0, 0.0), (0.0, 0.0, 1.0)), strict=True)
+    ]
+    made["nodes"] = [{"name": "bus", "mesh": 0}, {"name": "copy", "mesh": 0, "translation": [3.0, 0.0, 0.0]}]
+    made["scenes"] = [{"nodes": [0, 1]}]
+    return made
+
+
+def test_a_node_of_a_mesh_with_several_materials_is_one_object_of_its_own_name() -> None:
+    """Blender writes a primitive for each material; a target's file refers to the object by its name."""
+    file = files(two_materials(("foil", "cells")), joined(TETRAHEDRON), "glb")
+    for _ in range(2):  # a reading after another one
+        mesh = read_mesh_file(*file)
+        assert set(mesh.objects) == {"bus", "copy"}
+        assert np.bincount(mesh.triangle_object).tolist() == [4, 4]
+        assert np.bincount(mesh.triangle_material).tolist() == [4, 4]
+
+
+@pytest.mark.parametrize("names", [("", ""), ("paint", "paint")])
+def test_materials_without_a_name_or_of_one_name_keep_their_colours(names: tuple[str, str]) -> None:
+    mesh = read_mesh_file(*files(two_materials(names), joined(TETRAHEDRON), "glb"))
+    assert len({material.name for material in mesh.materials}) == 2
+    colours = {tuple(np.round(material.colour, 6)) for material in mesh.materials if material.colour}
+    assert colours == {(1.0, 1.0, 0.0), (0.0, 0.0, 1.0)}
