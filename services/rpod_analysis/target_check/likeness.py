@@ -195,6 +195,10 @@ class _Look:
         normals, brightness = pose.rotation.apply(target.normals), steps[target.triangle_material]
         return cls(hits.range_m.astype(np.float64), normals[triangle], brightness[triangle])
 
+    def within(self, window: tuple[slice, slice]) -> "_Look":
+        """Return what the rays of some rows and columns meet."""
+        return _Look(self.range_m[window], self.normals[window], self.brightness[window])
+
     def rim(self, limit_m: float) -> NDArray[np.bool_]:
         """Return the rays beside which the range jumps, or bends, by more than a limit."""
         known_m = np.where(self.hit, self.range_m, 1e9)
@@ -220,8 +224,10 @@ def _log_likelihood(target: Target, sensor: _Sensor, turned: RigidTransform, vie
 
 
 def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, slack_m: float) -> float:
+    window = _window(right.hit | other.hit)
+    right, other = right.within(window), other.within(window)
     both = right.hit & other.hit
-    cosine = np.abs(np.einsum("rci,rci->rc", right.normals, sensor.grid.directions))
+    cosine = np.abs(np.einsum("rci,rci->rc", right.normals, sensor.grid.directions[window]))
     compared = both & (cosine > _STEEPEST)
     limit_m = slack_m + _MOST_SIGMAS * sigma_m
     rim = _near(right.rim(limit_m) | other.rim(limit_m))
@@ -234,6 +240,17 @@ def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, 
         apart = np.maximum(low - right.brightness, right.brightness - high)
         count += int((both & (apart > _SAME_BRIGHTNESS)).sum())
     return 0.5 * float((sigmas**2).sum()) + 0.5 * _MOST_SIGMAS**2 * count
+
+
+def _window(hit: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the rows and columns of the rays that meet something, and two more on each side.
+
+    Two is the reach of the comparison: a ray beside a jump, and its neighbour.
+    """
+    rows, columns = (np.flatnonzero(hit.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(None), slice(None)
+    return slice(max(rows[0] - 2, 0), rows[-1] + 3), slice(max(columns[0] - 2, 0), columns[-1] + 3)
 
 
 def _apart(right: _Look, other: _Look, *, reach: int) -> FloatArray:

@@ -103,6 +103,20 @@ def test_the_symmetries_of_a_shipped_target_are_those_that_its_file_declares(
     assert len(found) == sum(orders.values())
 
 
+def test_a_body_that_small_turns_hardly_change_has_the_order_of_its_large_ones(
+    tmp_path: Path, cache: Path
+) -> None:
+    """A can with an oval upper end and a box on one side: after 360/64 deg nearly all of it agrees."""
+    can = trimesh.creation.cylinder(radius=0.3, height=1.0, sections=128)
+    can.vertices[can.vertices[:, 2] > 0.0] *= [1.0, 0.8, 1.0]
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.apply_translation([0.33, 0.0, 0.0])
+    trimesh.util.concatenate([can, box]).export(tmp_path / "can.stl")
+    made = draft(tmp_path / "can.stl", tmp_path / "can.yaml", DraftOptions(units="m"), cache=cache)
+    along = [one for one in find_symmetries(made.target) if abs(one.axis[2]) > 0.99]
+    assert [(one.order, one.exact) for one in along if not one.continuous] == [(2, False)]
+
+
 def test_a_ball_with_a_boom_is_turned_by_high_orders_about_a_few_axes_only(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,12 +126,15 @@ def test_a_ball_with_a_boom_is_turned_by_high_orders_about_a_few_axes_only(
     ball.export(tmp_path / "ball.stl")
     turned = set()
 
-    def nearly_alike(_: symmetry._Matcher, axis: np.ndarray, turn: float) -> tuple[float, float]:
-        if turn < 0.05:
+    def nearly_alike(
+        _: symmetry._Matcher, axis: np.ndarray, order: int, **_limits: float
+    ) -> tuple[float, float]:
+        if order > 12:
             turned.add(tuple(axis))
         return np.inf, 0.9
 
-    monkeypatch.setattr(symmetry._Matcher, "errors", nearly_alike)
+    monkeypatch.setattr(symmetry._Matcher, "errors", lambda *_: (np.inf, 0.9))
+    monkeypatch.setattr(symmetry._Matcher, "errors_of_order", nearly_alike)
     draft(tmp_path / "ball.stl", tmp_path / "ball.yaml", DraftOptions(units="m"), cache=cache)
     assert 0 < len(turned) <= 12
 
