@@ -56,7 +56,7 @@ class DraftOptions:
     """Density of the parts' volume, instead of the mass."""
     origin: Literal["auto", "file", "centre"] = "auto"
     """Origin of target axes: the file's, the centre of area, or the file's if it lies within the bounding box
-    and on the axes of the exact symmetries."""
+    and on the axes of the symmetries, which a target file can only state through its origin."""
     confirmed_size: bool = False
     """Whether a size below 0.05 m or above 500 m is meant."""
 
@@ -100,7 +100,7 @@ def draft(
 
     try:
         sections, found = written(options)
-        if options.origin == "auto" and any(one.exact and one.beside_origin_m > 0.0 for one in found):
+        if options.origin == "auto" and any(one.beside_origin_m > 0.0 for one in found):
             sections, found = written(replace(options, origin="centre"))
         told += sections.told
         out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
@@ -325,8 +325,8 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
     aside = [one for one in found if one.beside_origin_m > 0.0]
     if aside:
         told.append(
-            f"{len(aside)} symmetries have axes beside the origin and cannot be written: "
-            "use --origin centre to have them"
+            "symmetries that are not written, since their axes pass beside the origin, so that poses will be "
+            f"mistaken for each other: {len(aside)}; use --origin centre to have them"
         )
     lines = []
     for one in found:
