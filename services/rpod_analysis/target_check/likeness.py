@@ -27,6 +27,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind
 from rpod_target import Target
+from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.symmetry import TURNS, FoundSymmetry, Likeness, find_symmetries
 
 _VIEWS = 12
@@ -46,6 +47,8 @@ _FEWEST, _FEWEST_PIXELS = 6, 200
 """Least number of a scan's rays, and of an image's pixels, by which two poses are aligned and compared."""
 _HELD = 1e-6
 """Share of the information's trace that is added: directions that no ray determines then do not move."""
+_SAME_ATTITUDE = float(np.cos(np.deg2rad(1.0)))
+"""Cosine of the angle below which two attitudes are one; axes are found to a fraction of a degree."""
 _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
@@ -66,9 +69,33 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
         exact = all(each.alike == each.views for each in likeness) if likeness else one.exact
         mistaken = exact or any(2 * each.alike >= each.views for each in likeness)
         checked.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
+    checked = _consistent(checked)
     covered = [one for one in checked if one.continuous and one.mistaken]
     kept = [one for one in checked if not any(_includes(other, one) for other in covered)]
     return sorted(kept, key=lambda one: (not one.exact, not one.mistaken))
+
+
+def _consistent(checked: list[FoundSymmetry]) -> list[FoundSymmetry]:
+    """Return symmetries of which the exact ones together generate no turn that a sensor distinguishes.
+
+    Each of two half turns may stay just below what the views distinguish, and their product above. The exact
+    one that is distinguished best is then a near one.
+    """
+    while True:
+        exact = [one for one in checked if one.exact]
+        group = Equivalence.of(
+            [Symmetry(one.axis, one.order, exact=True, continuous=one.continuous) for one in exact]
+        )
+        near = [one for one in checked if not one.exact and one.likeness]
+        turns = [(TURNS[0] if one.continuous else 1.0 / one.order) * np.array(one.axis) for one in near]
+        generated = [
+            group.cosines(Rotation.from_rotvec(2.0 * np.pi * turn).as_matrix()[None], np.eye(3)[None])[0, 0]
+            for turn in turns
+        ]
+        if not exact or max(generated, default=-1.0) < _SAME_ATTITUDE:
+            return checked
+        worst = max(exact, key=lambda one: max(each.log_likelihood for each in one.likeness))
+        checked = [replace(one, exact=False) if one is worst else one for one in checked]
 
 
 def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:

@@ -246,7 +246,8 @@ def _pieces(scene: Any) -> Iterator[_Piece]:
             raise ValueError(obj_text.NO_CORNER)
         triangles = corners[faces]
         if not np.array_equal(transform, np.eye(4)):
-            triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
+            with np.errstate(invalid="ignore"):  # a coordinate that is not finite is refused afterwards
+                triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
             if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirrored copy
                 triangles = triangles[:, ::-1]
         yield from _by_material(node, triangles, geometry)
