@@ -79,23 +79,27 @@ def _consistent(checked: list[FoundSymmetry]) -> list[FoundSymmetry]:
     """Return symmetries of which the exact ones together generate no turn that a sensor distinguishes.
 
     Each of two half turns may stay just below what the views distinguish, and their product above. The exact
-    one that is distinguished best is then a near one.
+    one that is distinguished best is then a near one. Near symmetries of any turn are not compared: a polygon
+    of many sides counts as round, though any turn is only near.
     """
     while True:
         exact = [one for one in checked if one.exact]
         group = Equivalence.of(
             [Symmetry(one.axis, one.order, exact=True, continuous=one.continuous) for one in exact]
         )
-        near = [one for one in checked if not one.exact and one.likeness]
-        turns = [(TURNS[0] if one.continuous else 1.0 / one.order) * np.array(one.axis) for one in near]
-        generated = [
-            group.cosines(Rotation.from_rotvec(2.0 * np.pi * turn).as_matrix()[None], np.eye(3)[None])[0, 0]
-            for turn in turns
+        near = [one for one in checked if not one.exact and not one.continuous]
+        turns = [
+            Rotation.from_rotvec(2.0 * np.pi / one.order * np.array(one.axis)).as_matrix() for one in near
         ]
+        generated = [group.cosines(turn[None], np.eye(3)[None])[0, 0] for turn in turns]
         if not exact or max(generated, default=-1.0) < _SAME_ATTITUDE:
             return checked
-        worst = max(exact, key=lambda one: max(each.log_likelihood for each in one.likeness))
+        worst = max(exact, key=_best_distinguished)
         checked = [replace(one, exact=False) if one is worst else one for one in checked]
+
+
+def _best_distinguished(one: FoundSymmetry) -> float:
+    return max((each.log_likelihood for each in one.likeness), default=0.0)
 
 
 def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:
