@@ -28,7 +28,7 @@ from rpod_target.variation import Variation, split
 RANDOM = "random-"
 """Beginning of the names of the random satellites."""
 _SHIPPED = Path(__file__).parent / "targets"
-_BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 6, 1
+_BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 7, 1
 """Versions of the builder without and with mesh files, and of the variations. Increase one when the same
 parameters give other arrays."""
 

@@ -25,6 +25,8 @@ TURNS = (0.137, 0.291, 0.389)
 _EXACT, _NEAR = 1e-3, 2e-2
 """Largest distance, over the target's size, of a turned place from the surface: for an exact symmetry, the
 largest error of a simplified mesh; for a place that agrees nearly."""
+_SURELY_NOT_EXACT = 2.0 * _EXACT
+"""Largest distance of a few turned places from the surface above which a turn is not exact."""
 _SAME = 1e-4
 """Greatest difference of the largest distances, over the size, of two orders that are equally exact."""
 _NEAR_SHARE = 0.6
@@ -135,13 +137,34 @@ class _Matcher:
         self._material = self._closest(target.model_points_m, target.model_normals)[2]
         self._few = slice(None, None, max(1, len(target.model_points_m) // _FEW))
 
-    def errors(self, axis: FloatArray, turn: float) -> tuple[float, float]:
+    def errors(self, axis: FloatArray, turn: float, *, above: float = 0.0) -> tuple[float, float]:
         """Return the largest distance, over the size, and the share of places that agree nearly.
 
-        The distance is inf where few places agree.
+        The distance is inf where few places agree. With a share of 1 or more that has to be exceeded, only an
+        exact turn matters, so that any other one is told by a few places.
         """
-        share = self._errors(axis, turn, self._few)[1]
-        return (np.inf, share) if share < _SOME else self._errors(axis, turn, slice(None))
+        worst, share = self._errors(axis, turn, self._few)
+        if share < _SOME or (above >= 1.0 and worst > _SURELY_NOT_EXACT):
+            return np.inf, share
+        return self._errors(axis, turn, slice(None))
+
+    def errors_of_order(self, axis: FloatArray, order: int, *, above: float) -> tuple[float, float]:
+        """Return the errors of the worst of an order's turns, of which up to four are compared.
+
+        A single step of a high order is a small turn, after which anything looks nearly the same.
+
+        Args:
+            axis: unit vector, shape (3,).
+            order: number of turns that make a full one.
+            above: share that each turn of a near symmetry exceeds; the first that does not is enough.
+        """
+        worst, share = 0.0, 1.0
+        for steps in sorted({1, *(round(turn * order) for turn in TURNS)} - {0}, reverse=True):
+            step_worst, step_share = self.errors(axis, steps / order, above=above)
+            worst, share = max(worst, step_worst), min(share, step_share)
+            if share <= above and worst >= _EXACT:
+                break
+        return worst, share
 
     def _errors(self, axis: FloatArray, turn: float, which: slice) -> tuple[float, float]:
         rotation = Rotation.from_rotvec(2.0 * np.pi * turn * axis)
@@ -184,7 +207,8 @@ def _about(matcher: _Matcher, axis: FloatArray, high_orders: Sequence[int]) -> I
         return
     around = least > _NEAR_SHARE
     asked = (*high_orders, *_ORDERS[::-1]) if around else _ORDERS[::-1]
-    orders = [(order, *matcher.errors(axis, 1.0 / order)) for order in asked]
+    above = least + _ALIKE if around else _NEAR_SHARE
+    orders = [(order, *matcher.errors_of_order(axis, order, above=above)) for order in asked]
     least_m = min(worst for _, worst, _ in orders)
     exact = next((each for each in orders if each[1] < min(_EXACT, least_m + _SAME)), None)
     if exact is not None:
@@ -194,7 +218,7 @@ def _about(matcher: _Matcher, axis: FloatArray, high_orders: Sequence[int]) -> I
     if exact is None:
         most = max(share for _, _, share in orders)
         order, _, share = next(each for each in orders if each[2] > most - _ALIKE)
-        if share > (least + _ALIKE if around else _NEAR_SHARE):
+        if share > above:
             yield one(order, share, exact=False)
 
 

@@ -99,7 +99,7 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
     if file.suffix.lower() not in FORMATS:
         return load_target(file)
     with tempfile.TemporaryDirectory() as folder:
-        assumed = units is None and longest_side_m is None
+        assumed = units is None and longest_side_m is None and file.suffix.lower() not in METRIC
         units = "m" if assumed else units
         options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
         made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=checked_symmetries)

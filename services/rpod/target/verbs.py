@@ -37,7 +37,7 @@ def target() -> None:
 
 @target_verbs.command()
 def new(
-    cad: Annotated[Path, typer.Argument(help="STL, OBJ, PLY, glTF, GLB or STEP file.")],
+    cad: Annotated[Path, typer.Argument(help="STL, OBJ, PLY, OFF, glTF, GLB or STEP file.")],
     units: UnitsOption = None,
     longest_side_m: LongestOption = None,
     name: Annotated[
@@ -52,7 +52,7 @@ def new(
         typer.Option(
             "--origin",
             help="Origin of target axes: file, centre (of area), or auto: the file's if it lies within the "
-            "bounding box and on the axes of the exact symmetries.",
+            "bounding box and on the axes of the symmetries.",
         ),
     ] = "auto",
     confirm_size: Annotated[

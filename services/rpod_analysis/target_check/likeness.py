@@ -27,6 +27,7 @@ from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.sensors import sensor_kind
 from rpod_target import Target
+from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.symmetry import TURNS, FoundSymmetry, Likeness, find_symmetries
 
 _VIEWS = 12
@@ -46,6 +47,8 @@ _FEWEST, _FEWEST_PIXELS = 6, 200
 """Least number of a scan's rays, and of an image's pixels, by which two poses are aligned and compared."""
 _HELD = 1e-6
 """Share of the information's trace that is added: directions that no ray determines then do not move."""
+_SAME_ATTITUDE = float(np.cos(np.deg2rad(1.0)))
+"""Cosine of the angle below which two attitudes are one; axes are found to a fraction of a degree."""
 _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
@@ -66,9 +69,37 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
         exact = all(each.alike == each.views for each in likeness) if likeness else one.exact
         mistaken = exact or any(2 * each.alike >= each.views for each in likeness)
         checked.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
+    checked = _consistent(checked)
     covered = [one for one in checked if one.continuous and one.mistaken]
     kept = [one for one in checked if not any(_includes(other, one) for other in covered)]
     return sorted(kept, key=lambda one: (not one.exact, not one.mistaken))
+
+
+def _consistent(checked: list[FoundSymmetry]) -> list[FoundSymmetry]:
+    """Return symmetries of which the exact ones together generate no turn that a sensor distinguishes.
+
+    Each of two half turns may stay just below what the views distinguish, and their product above. The exact
+    one that is distinguished best is then a near one. Near symmetries of any turn are not compared: a polygon
+    of many sides counts as round, though any turn is only near.
+    """
+    while True:
+        exact = [one for one in checked if one.exact]
+        group = Equivalence.of(
+            [Symmetry(one.axis, one.order, exact=True, continuous=one.continuous) for one in exact]
+        )
+        near = [one for one in checked if not one.exact and not one.continuous]
+        turns = [
+            Rotation.from_rotvec(2.0 * np.pi / one.order * np.array(one.axis)).as_matrix() for one in near
+        ]
+        generated = [group.cosines(turn[None], np.eye(3)[None])[0, 0] for turn in turns]
+        if not exact or max(generated, default=-1.0) < _SAME_ATTITUDE:
+            return checked
+        worst = max(exact, key=_best_distinguished)
+        checked = [replace(one, exact=False) if one is worst else one for one in checked]
+
+
+def _best_distinguished(one: FoundSymmetry) -> float:
+    return max((each.log_likelihood for each in one.likeness), default=0.0)
 
 
 def _includes(around: FoundSymmetry, one: FoundSymmetry) -> bool:
@@ -195,6 +226,10 @@ class _Look:
         normals, brightness = pose.rotation.apply(target.normals), steps[target.triangle_material]
         return cls(hits.range_m.astype(np.float64), normals[triangle], brightness[triangle])
 
+    def within(self, window: tuple[slice, slice]) -> "_Look":
+        """Return what the rays of some rows and columns meet."""
+        return _Look(self.range_m[window], self.normals[window], self.brightness[window])
+
     def rim(self, limit_m: float) -> NDArray[np.bool_]:
         """Return the rays beside which the range jumps, or bends, by more than a limit."""
         known_m = np.where(self.hit, self.range_m, 1e9)
@@ -220,8 +255,10 @@ def _log_likelihood(target: Target, sensor: _Sensor, turned: RigidTransform, vie
 
 
 def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, slack_m: float) -> float:
+    window = _window(right.hit | other.hit)
+    right, other = right.within(window), other.within(window)
     both = right.hit & other.hit
-    cosine = np.abs(np.einsum("rci,rci->rc", right.normals, sensor.grid.directions))
+    cosine = np.abs(np.einsum("rci,rci->rc", right.normals, sensor.grid.directions[window]))
     compared = both & (cosine > _STEEPEST)
     limit_m = slack_m + _MOST_SIGMAS * sigma_m
     rim = _near(right.rim(limit_m) | other.rim(limit_m))
@@ -234,6 +271,17 @@ def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, 
         apart = np.maximum(low - right.brightness, right.brightness - high)
         count += int((both & (apart > _SAME_BRIGHTNESS)).sum())
     return 0.5 * float((sigmas**2).sum()) + 0.5 * _MOST_SIGMAS**2 * count
+
+
+def _window(hit: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the rows and columns of the rays that meet something, and two more on each side.
+
+    Two is the reach of the comparison: a ray beside a jump, and its neighbour.
+    """
+    rows, columns = (np.flatnonzero(hit.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(None), slice(None)
+    return slice(max(rows[0] - 2, 0), rows[-1] + 3), slice(max(columns[0] - 2, 0), columns[-1] + 3)
 
 
 def _apart(right: _Look, other: _Look, *, reach: int) -> FloatArray:

@@ -15,7 +15,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.drafting.materials import proposed
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
-from rpod_target.mesh.files import METRIC, MeshFile, companions, read_mesh_file
+from rpod_target.mesh.files import METRIC, STEP, MeshFile, companions, read_mesh_file
 from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
 from rpod_target.target import Target
 
@@ -56,7 +56,7 @@ class DraftOptions:
     """Density of the parts' volume, instead of the mass."""
     origin: Literal["auto", "file", "centre"] = "auto"
     """Origin of target axes: the file's, the centre of area, or the file's if it lies within the bounding box
-    and on the axes of the exact symmetries."""
+    and on the axes of the symmetries, which a target file can only state through its origin."""
     confirmed_size: bool = False
     """Whether a size below 0.05 m or above 500 m is meant."""
 
@@ -100,7 +100,7 @@ def draft(
 
     try:
         sections, found = written(options)
-        if options.origin == "auto" and any(one.exact and one.beside_origin_m > 0.0 for one in found):
+        if options.origin == "auto" and any(one.beside_origin_m > 0.0 for one in found):
             sections, found = written(replace(options, origin="centre"))
         told += sections.told
         out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
@@ -152,8 +152,13 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
     if options.units is not None and options.units not in METRES:
         raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
     by_unit = None if options.units is None else METRES[options.units]
+    states_its_unit = cad.suffix.lower() in STEP
+    if states_its_unit and by_unit is not None:
+        if options.units not in ("m", *mesh.units) and options.longest_side_m is None:
+            raise TargetError(cad, "--units", _own_unit(mesh, longest))
+        by_unit = 1.0
     if by_unit is None and options.longest_side_m is None and cad.suffix.lower() in METRIC:
-        told.append("the format is in metres")
+        told.append(_AS_STATED if states_its_unit else "the format is in metres")
         by_unit = 1.0
     if options.longest_side_m is not None:
         scale = options.longest_side_m / longest
@@ -167,16 +172,33 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
         reason = f"is missing, and the file does not state its unit; its longest side is {longest:.4g} units"
         raise TargetError(cad, "--units", f"{reason}: {_usual(longest)}; or give --longest-side-m")
     if not usual_size(by_unit * longest) and not options.confirmed_size:
-        raise TargetError(cad, "--units", _other_units(by_unit, longest))
+        raise TargetError(cad, "--units", _other_units(by_unit, longest, states_its_unit=states_its_unit))
     return by_unit
 
 
-def _other_units(by_unit: float, longest: float) -> str:
-    """Return why a size is refused, with the units that would give a usual one."""
+_AS_STATED = "the unit is the one that the file states"
+
+
+def _own_unit(mesh: MeshFile, longest: float) -> str:
+    """Return why a unit is refused that a STEP file does not name."""
+    named = f" ({', '.join(mesh.units)})" if mesh.units else ""
     return (
-        f"makes the target's longest side {by_unit * longest:.4g} m, and {SMALLEST_M} m to {LARGEST_M:.0f} m "
-        f"are usual: {_usual(longest)}; or give --longest-side-m; if the size is right, give --confirm-size, "
-        "which writes confirmed_size: true"
+        f"is not needed: the file states its own unit{named}, by which the longest side is {longest:.4g} m; "
+        "leave --units out, or give --longest-side-m if this is wrong"
+    )
+
+
+def _other_units(by_unit: float, longest: float, *, states_its_unit: bool) -> str:
+    """Return why a size is refused, with the units that would give a usual one."""
+    reason = (
+        f"the unit that the file states makes its longest side {longest:.4g} m"
+        if states_its_unit
+        else f"makes the target's longest side {by_unit * longest:.4g} m"
+    )
+    remedy = "give" if states_its_unit else f"{_usual(longest)}; or give"
+    return (
+        f"{reason}, and {SMALLEST_M} m to {LARGEST_M:.0f} m are usual: {remedy} --longest-side-m; if the "
+        "size is right, give --confirm-size, which writes confirmed_size: true"
     )
 
 
@@ -303,8 +325,8 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
     aside = [one for one in found if one.beside_origin_m > 0.0]
     if aside:
         told.append(
-            f"{len(aside)} symmetries have axes beside the origin and cannot be written: "
-            "use --origin centre to have them"
+            "symmetries that are not written, since their axes pass beside the origin, so that poses will be "
+            f"mistaken for each other: {len(aside)}; use --origin centre to have them"
         )
     lines = []
     for one in found:

@@ -1,4 +1,4 @@
-"""Reader of CAD and mesh files: STL, OBJ, PLY, glTF, GLB, and STEP where the extra ``step`` is installed.
+"""Reader of CAD and mesh files: STL, OBJ, PLY, OFF, glTF, GLB, and STEP with the extra ``step``.
 
 Files are read by trimesh, without any cleaning: every triangle of the file is returned, also those of zero
 area, which a closed surface needs.
@@ -7,8 +7,8 @@ area, which a closed surface needs.
 import io
 import json
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -16,15 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
-from rpod_target.mesh import obj_text
+from rpod_target.mesh import gltf_arrays, obj_text, off_text, step
+from rpod_target.mesh.text import as_utf8, file_of, with_line_feeds
 from rpod_target.mesh.topology import areas_m2
 from rpod_target.mesh.unusable import unusable, without_faces
 
-FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".step", ".stp")
+FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".off", ".step", ".stp")
 """Suffixes of the files that can be read."""
 METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
-_STEP = (".step", ".stp")
+STEP = (".step", ".stp")
+"""Suffixes of STEP files."""
+_TEXTS = (".obj", ".off")
+_GLTF = (".gltf", ".glb")
 
 
 @dataclass(frozen=True)
@@ -53,11 +57,13 @@ class MeshFile:
     triangle_material: NDArray[np.int64]
     """Index into ``materials``, shape (T,); -1 for a triangle without one."""
     materials: tuple[FileMaterial, ...]
+    units: tuple[str, ...] = ()
+    """Units of length that the file names and that its reader has converted to metres (STEP)."""
 
 
 def companions(name: str, content: bytes) -> tuple[str, ...]:
     """Return the names of the files that a mesh file refers to and that are read with it."""
-    suffix = _suffix(name)
+    suffix, content = _suffix(name), as_utf8(content)
     if suffix == ".obj":
         return obj_text.libraries(content)
     if suffix == ".gltf":
@@ -66,7 +72,7 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
             names = [str(entry.get("uri", "")) for entry in buffers]
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
             return ()  # its reader refuses what is no glTF
-        return tuple(uri for uri in names if uri and not uri.startswith("data:"))
+        return tuple(file_of(uri) for uri in names if uri and not uri.startswith("data:"))
     return ()
 
 
@@ -81,7 +87,7 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     Raises:
         ValueError: the content is wrong; the text continues a sentence that begins with the file's name.
     """
-    suffix, folder = _suffix(name), PurePosixPath(name).parent
+    suffix, folder, content = _suffix(name), PurePosixPath(name).parent, as_utf8(content)
     beside = {
         other: beside[str(folder / other)]
         for other in companions(name, content)
@@ -91,28 +97,53 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
     if reason := unusable(suffix, content):
         raise ValueError(reason)
-    if suffix == ".obj":
-        content, beside = obj_text.prepared(content, beside)
-    scene = _scene(suffix, content, beside)
+    scene = _scene(*_prepared(suffix, content, beside))
     pieces = list(_pieces(scene))
     if not pieces:
         raise ValueError(without_faces(list(scene.geometry.values())))
-    if suffix == ".obj":
+    if suffix in _TEXTS:
         pieces.reverse()  # the reader returns them from the last to the first
-    materials = tuple({piece.material.name: piece.material for piece in pieces if piece.material}.values())
+    materials = list(dict.fromkeys(piece.material for piece in pieces if piece.material))
     objects = tuple(dict.fromkeys(piece.name for piece in pieces))
-    numbers = {material.name: number for number, material in enumerate(materials)}
     counts = [len(piece.triangles) for piece in pieces]
     mesh = MeshFile(
         np.concatenate([piece.triangles for piece in pieces]),
         np.repeat([objects.index(piece.name) for piece in pieces], counts),
         objects,
-        np.repeat([numbers[piece.material.name] if piece.material else -1 for piece in pieces], counts),
-        materials,
+        np.repeat([materials.index(piece.material) if piece.material else -1 for piece in pieces], counts),
+        tuple(_with_names_of_their_own(materials)),
+        step.units(content) if suffix in STEP else (),
     )
     if not np.isfinite(mesh.triangles).all():
         raise ValueError("contains a coordinate that is not finite: export it again")
     return mesh
+
+
+def _with_names_of_their_own(materials: Sequence[FileMaterial]) -> Iterator[FileMaterial]:
+    """Yield materials of which no two have the same name, since a target's file refers to them by name."""
+    known: set[str] = set()
+    for material in materials:
+        name, number = material.name, 2
+        while name in known:
+            name, number = f"{material.name}-{number}", number + 1
+        known.add(name)
+        yield replace(material, name=name)
+
+
+def _prepared(
+    suffix: str, content: bytes, beside: Mapping[str, bytes]
+) -> tuple[str, bytes, Mapping[str, bytes]]:
+    """Return the format, content and companions of a file in the way that its reader needs them.
+
+    Raises:
+        ValueError: as for ``read_mesh_file``.
+    """
+    if suffix == ".off":
+        content, library = off_text.as_obj(with_line_feeds(content))
+        return ".obj", *obj_text.prepared(content, {"": library})
+    if suffix == ".obj":
+        return suffix, *obj_text.prepared(content, beside)
+    return suffix, content, beside
 
 
 def surface_m(path: Path, metres_per_unit: float) -> FloatArray:
@@ -146,9 +177,9 @@ class _Beside:
 
     def get(self, name: str) -> bytes:
         """Return the bytes of a companion. Raises ``OSError``."""
-        found = self._files.get(str(name))
+        found = self._files.get(file_of(str(name)))
         if found is None:
-            self.missing = str(name)
+            self.missing = file_of(str(name))
             raise FileNotFoundError(name)
         return found
 
@@ -158,24 +189,22 @@ class _Beside:
 def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
     import trimesh  # noqa: PLC0415 - only a build reads meshes
 
-    if suffix in _STEP:
-        try:
-            import cascadio  # noqa: F401, PLC0415
-        except ImportError as error:
-            raise ValueError("is STEP, which needs the extra: pip install 'rpod[step]'") from error
     options: dict[str, Any] = {}
     if suffix == ".obj":
         options["split_objects"] = obj_text.has_objects(content)
         options["split_groups"] = not options["split_objects"]
-    if suffix in _STEP:
-        options = {"tol_linear": _STEP_DEFLECTION, "tol_angular": _STEP_ANGLE_RAD, "tol_relative": True}
-    others = _Beside(beside)
+    others, kind = _Beside(beside), suffix[1:]
     try:
+        if suffix in STEP:
+            content, kind = step.as_glb(content), "glb"
+        elif suffix in _GLTF:
+            content, others = _whole(content, others)
+            kind = "glb" if content.startswith(b"glTF") else "gltf"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return trimesh.load_scene(
                 io.BytesIO(content),
-                file_type=suffix[1:],
+                file_type=kind,
                 resolver=others,  # type: ignore[arg-type]
                 process=False,
                 maintain_order=True,
@@ -186,24 +215,29 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
             raise ValueError(_unread(suffix, error)) from error
         reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
         raise ValueError(reason) from error
+    except step.MissingExtraError:
+        raise
     except IndexError as error:
         raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
     except Exception as error:  # a parser of foreign files raises anything
         raise ValueError(_unread(suffix, error)) from error
 
 
-_STEP_DEFLECTION = 0.001
-"""Greatest distance of a triangle from a curved STEP surface, as a share of an edge's length."""
-_STEP_ANGLE_RAD = 0.2
-"""Greatest angle between neighbouring segments of a curved STEP edge."""
+def _whole(content: bytes, others: _Beside) -> tuple[bytes, _Beside]:
+    """Return a glTF document with all its triangles, and the files that it refers to."""
+    content, files = gltf_arrays.prepared(content, others.get)
+    return content, others if files is None else _Beside(files)
 
 
 def _pieces(scene: Any) -> Iterator[_Piece]:
     """Yield the triangles of each node of a scene, placed by the node's transform."""
     order = {name: number for number, name in enumerate(scene.geometry)}
     nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]  # in no order
-    for transform, name, node in sorted(nodes, key=lambda entry: (order[entry[1]], str(entry[2]))):
-        geometry = scene.geometry[name]
+    labelled = [
+        (order[name], _object_of(scene, node), transform, scene.geometry[name])
+        for transform, name, node in nodes
+    ]
+    for _, node, transform, geometry in sorted(labelled, key=lambda entry: entry[:2]):
         faces = getattr(geometry, "faces", None)
         if faces is None or not len(faces):
             continue
@@ -212,10 +246,24 @@ def _pieces(scene: Any) -> Iterator[_Piece]:
             raise ValueError(obj_text.NO_CORNER)
         triangles = corners[faces]
         if not np.array_equal(transform, np.eye(4)):
-            triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
+            with np.errstate(invalid="ignore"):  # a coordinate that is not finite is refused afterwards
+                triangles = triangles @ transform[:3, :3].T + transform[:3, 3]
             if np.linalg.det(transform[:3, :3]) < 0.0:  # a mirrored copy
                 triangles = triangles[:, ::-1]
-        yield from _by_material(str(node), triangles, geometry)
+        yield from _by_material(node, triangles, geometry)
+
+
+def _object_of(scene: Any, node: Any) -> str:
+    """Return the name of the object that a node of a scene belongs to.
+
+    Where a glTF mesh has several primitives, the reader gives each a node of a random name below the node of
+    the file.
+    """
+    metadata = getattr(scene.geometry[scene.graph[node][1]], "metadata", None) or {}
+    parent = str(scene.graph.transforms.parents.get(node, ""))
+    if metadata.get("from_gltf_primitive") and str(node).startswith(f"{parent}_"):
+        return parent
+    return str(node)
 
 
 def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_Piece]:
@@ -226,13 +274,18 @@ def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_P
         if len(colours) <= _MOST_COLOURS:
             for number, colour in enumerate(colours):
                 red, green, blue = (float(value) / 255.0 for value in colour)
-                label = "colour-" + "".join(f"{int(value):02x}" for value in colour)
-                painted = FileMaterial(label, (red, green, blue), None, None)
+                painted = FileMaterial(_colour_name((red, green, blue)), (red, green, blue), None, None)
                 yield _Piece(name, triangles[of_face.ravel() == number], painted)
             return
     material = getattr(visual, "material", None)
-    found = None if material is None or not getattr(material, "name", None) else _material(material)
+    found = None if material is None else _material(material)
+    if found is not None and not found.name:
+        found = None if found.colour is None else replace(found, name=_colour_name(found.colour))
     yield _Piece(name if found is None else _without_material(name, found.name), triangles, found)
+
+
+def _colour_name(colour: tuple[float, float, float]) -> str:
+    return "colour-" + "".join(f"{round(255.0 * value):02x}" for value in colour)
 
 
 def _without_material(name: str, material: str) -> str:
@@ -255,12 +308,14 @@ def _material(material: Any) -> FileMaterial:
     if hasattr(material, "baseColorFactor"):
         metallic = getattr(material, "metallicFactor", None)
         colour = _as_shown(_colour(factor))
-        return FileMaterial(str(material.name), colour, None, None if metallic is None else float(metallic))
+        return FileMaterial(
+            str(material.name or ""), colour, None, None if metallic is None else float(metallic)
+        )
     known = getattr(material, "kwargs", {}) or {}
     described = "kd" in known
     specular = getattr(material, "specular", None)
     return FileMaterial(
-        str(material.name),
+        str(material.name or ""),
         _colour(getattr(material, "diffuse", None)) if described else None,
         float(np.mean(np.asarray(specular)[:3]) / 255.0) if "ks" in known and specular is not None else None,
         None,

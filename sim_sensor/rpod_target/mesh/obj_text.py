@@ -1,8 +1,8 @@
 """The text of an OBJ file as its reader, trimesh, needs it.
 
 The reader forgets the name of a material that no library defines, splits corners by their texture and normal
-indices, splits polygons as fans, and counts negative indices from the end of the file. So each of these is
-replaced in the text before; the reader does the rest.
+indices, splits polygons as fans, counts negative indices from the end of the file, and passes over lines
+that are indented or have tabs. So each of these is replaced in the text before; the reader does the rest.
 """
 
 import re
@@ -13,10 +13,13 @@ import numpy as np
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.mesh.polygons import concave, triangulated
+from rpod_target.mesh.text import as_utf8, local_name, with_line_feeds
 from rpod_target.mesh.topology import Indices
 
 _USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
 _LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
+_SEVERAL = re.compile(r"(?<=\.mtl)\s+", re.IGNORECASE)
+_INDENT = re.compile(rb"^ ++", re.MULTILINE)
 _DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
 _OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
 _TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
@@ -28,11 +31,16 @@ _OWN_LIBRARY = "materials.mtl"
 NO_CORNER = "has a face with a corner that is not in the file: export it again"
 """Why a file is refused whose faces count beyond its corners."""
 
+NO_NUMBER = "has a coordinate that is no number: export it again, with points before the decimals"
+"""Why a file is refused whose coordinates have, for example, commas in them."""
+
 
 def libraries(content: bytes) -> tuple[str, ...]:
-    """Return the names of the material libraries of a file."""
+    """Return the names of the material libraries of a text in UTF-8, relative to its folder."""
+    content = with_line_feeds(content)
     found = _LIBRARY.findall(content) if b"mtllib" in content else []  # a search of 200 MB takes a second
-    return tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in found))
+    names = [name for line in found for name in _SEVERAL.split(line.decode("utf-8", "replace"))]
+    return tuple(dict.fromkeys(local_name(name) for name in names))
 
 
 def has_objects(content: bytes) -> bool:
@@ -43,9 +51,15 @@ def has_objects(content: bytes) -> bool:
 def prepared(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[str, bytes]]:
     """Return the text of a file, and one library in which each used material is defined, without textures.
 
+    Args:
+        content: text in UTF-8, or in another encoding in which ASCII is the same.
+        beside: its libraries by name, in any encoding.
+
     Raises:
-        ValueError: a face names a corner that is not there.
+        ValueError: a face names a corner that is not there, or a coordinate is no number.
     """
+    content = _plain(content)
+    beside = {name: _plain(as_utf8(library)) for name, library in beside.items()}
     if b"\\\n" in content or b"\\\r\n" in content:
         content = re.sub(rb"\\\r?\n", b" ", content)
     library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
@@ -58,6 +72,14 @@ def prepared(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[s
     if b"mtllib" in content:
         body = _LIBRARY.sub(b"", body)
     return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
+
+
+def _plain(content: bytes) -> bytes:
+    """Return a text whose words have spaces between them and lines begin with a word."""
+    content = with_line_feeds(content)
+    if b"\t" in content:
+        content = content.replace(b"\t", b" ")
+    return _INDENT.sub(b"", content) if content.startswith(b" ") or b"\n " in content else content
 
 
 class _Faces:
@@ -73,7 +95,10 @@ class _Faces:
         for found in _CORNER.finditer(self._content):
             begins.append(found.start())
             values.append(found.groups())
-        return np.array(begins, np.int64), np.array(values).astype(np.float64).reshape(-1, 3)
+        try:
+            return np.array(begins, np.int64), np.array(values).astype(np.float64).reshape(-1, 3)
+        except ValueError as error:
+            raise ValueError(NO_NUMBER) from error
 
     def plain(self, found: re.Match[bytes]) -> bytes:
         """Return lines of faces with positive indices of corners alone, and without concave polygons."""

@@ -11,10 +11,18 @@ from typing import Any
 _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
-_NAMES = {".stl": "STL", ".obj": "OBJ", ".ply": "PLY", ".gltf": "GLTF", ".glb": "GLB"} | dict.fromkeys(
-    (".step", ".stp"), "STEP"
-)
-_COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+_SIGNATURES |= dict.fromkeys((b"OFF\n", b"OFF\r", b"COFF\n", b"COFF\r"), "OFF")
+_NAMES = {
+    ".stl": "STL",
+    ".obj": "OBJ",
+    ".ply": "PLY",
+    ".gltf": "GLTF",
+    ".glb": "GLB",
+    ".off": "OFF",
+} | dict.fromkeys((".step", ".stp"), "STEP")
+_COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_INSTANCES = "EXT_mesh_gpu_instancing"
+"""Extension that places a mesh several times; a reader without it shows the mesh once."""
 
 
 def unusable(suffix: str, content: bytes) -> str:
@@ -84,8 +92,11 @@ def _wrong_gltf(content: bytes) -> str:
         length = struct.unpack_from("<I", content, 12)[0]
         text = content[20 : 20 + length]
     try:
-        needed = json.loads(text).get("extensionsRequired", [])
+        document = json.loads(text)
+        needed, used = (document.get(f"extensions{which}", []) for which in ("Required", "Used"))
     except (ValueError, AttributeError, RecursionError):
         return "" if binary else "is no glTF, whose text is one JSON object: export it again"
+    if isinstance(used, list) and _INSTANCES in used:
+        return f"has instances of meshes ({_INSTANCES}), which are not read: export it without this extension"
     found = [name for name in _COMPRESSIONS if isinstance(needed, list) and name in needed]
     return f"is compressed ({found[0]}), which is not read: export it without compression" if found else ""

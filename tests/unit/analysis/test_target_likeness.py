@@ -1,5 +1,6 @@
 """Symmetries by what sensors resolve: bodies of revolution, small parts that break them, near ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,12 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.target_check.likeness import checked_symmetries
+from rpod_analysis.target_check.likeness import _consistent, checked_symmetries
 from rpod_analysis.target_check.trials import error_of
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
 from rpod_target.drafting.draft import DraftOptions, draft
-from rpod_target.symmetry import FoundSymmetry
+from rpod_target.symmetry import FoundSymmetry, Likeness
 
 
 @pytest.fixture(scope="session")
@@ -146,3 +147,17 @@ def test_about_a_free_axis_no_angle_is_an_error(tmp_path: Path, cache: Path) -> 
     tilted = make_pose(translation_m=[0.0, 0.0, 6.1], rotation=tilt * about_z)
     assert error_of(spun, truth, target)[0] == pytest.approx(0.0, abs=1e-5)
     assert error_of(tilted, truth, target) == (pytest.approx(5.0), pytest.approx(0.1))
+
+
+def half_turn(axis: tuple[float, float, float], *, exact: bool, log_likelihood: float) -> FoundSymmetry:
+    seen = Likeness("pmd", "80% filled", 7.0, 4, 4 if exact else 3, log_likelihood)
+    return FoundSymmetry(axis, 2, exact, 1.0, 0.0, (0.0, 0.0, 0.0), likeness=(seen,), mistaken=True)
+
+
+def test_exact_half_turns_do_not_generate_one_that_a_sensor_distinguishes() -> None:
+    x = half_turn((1.0, 0.0, 0.0), exact=True, log_likelihood=1.2)
+    y = half_turn((0.0, 1.0, 0.0), exact=True, log_likelihood=1.9)
+    z = half_turn((0.0, 0.0, 1.0), exact=False, log_likelihood=2.5)
+    assert [one.exact for one in _consistent([x, y, z])] == [True, False, False]
+    assert [one.exact for one in _consistent([x, y, replace(z, exact=True)])] == [True, True, True]
+    assert [one.exact for one in _consistent([x, z])] == [True, False]

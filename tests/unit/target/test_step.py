@@ -15,11 +15,13 @@
     satellite.export("satellite.step")
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rpod_target import TargetError
 from rpod_target.drafting.draft import DraftOptions, draft
 from rpod_target.mesh.files import MeshFile, read_mesh_file
 from rpod_target.mesh.topology import open_edges, volume_m3
@@ -72,9 +74,69 @@ def test_colours_are_those_that_were_chosen(mesh: MeshFile) -> None:
 def test_a_target_is_written_from_it_without_a_question(tmp_path: Path, cache: Path) -> None:
     made = draft(FILE, tmp_path / "satellite.yaml", DraftOptions(density_kg_m3=100.0), cache=cache)
     assert made.target.parts == tuple(BOXES_M)
-    assert made.told == ("the format is in metres",)
+    assert made.told == ("the unit is the one that the file states",)
     assert [material.looks for material in made.target.materials] == ["mirror", "grey", "dark"]
     assert made.target.require_field().values.min() < -0.2
+
+
+def test_faces_of_one_part_keep_their_colours() -> None:
+    style = re.findall(rb"#\d+ = COLOUR_RGB\('',[^;]*;", FILE.read_bytes())
+    assert len(set(style)) >= 3
+    mesh = read_mesh_file(FILE.name, _with_a_face_of_another_colour(FILE.read_bytes()), {})
+    assert mesh.objects == tuple(BOXES_M)
+    bus = mesh.triangle_material[mesh.triangle_object == 0]
+    assert [int((bus == number).sum()) for number in np.unique(bus)] in ([2, 10], [10, 2])
+    assert any(material.colour == pytest.approx((0.0, 1.0, 0.0), abs=0.02) for material in mesh.materials)
+
+
+def _with_a_face_of_another_colour(content: bytes) -> bytes:
+    """Style the first face of the file, which is one of the bus, in green."""
+    (face, *_) = re.findall(rb"(#\d+) = ADVANCED_FACE", content)
+    (context,) = re.findall(
+        rb"MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION\(\s*'',[^;]*?,(#\d+)\);", content
+    )[:1]
+    styled = (
+        b"""#90001 = COLOUR_RGB('',0.,1.,0.);
+#90002 = FILL_AREA_STYLE_COLOUR('',#90001);
+#90003 = FILL_AREA_STYLE('',(#90002));
+#90004 = SURFACE_STYLE_FILL_AREA(#90003);
+#90005 = SURFACE_SIDE_STYLE('',(#90004));
+#90006 = SURFACE_STYLE_USAGE(.BOTH.,#90005);
+#90007 = PRESENTATION_STYLE_ASSIGNMENT((#90006));
+#90008 = STYLED_ITEM('color',(#90007),"""
+        + face
+        + b""");
+#90009 = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(#90008),"""
+        + context
+        + b""");
+"""
+    )
+    end = content.rindex(b"ENDSEC;")
+    return content[:end] + styled + content[end:]
+
+
+@pytest.mark.parametrize("units", ["mm", "m", None])
+def test_the_unit_that_the_file_states_may_be_given_too(
+    tmp_path: Path, cache: Path, units: str | None
+) -> None:
+    options = DraftOptions(units=units, mass_kg=100.0)
+    made = draft(FILE, tmp_path / "satellite.yaml", options, cache=cache)
+    assert np.ptp(made.target.triangles_m, axis=(0, 1)).max() == pytest.approx(3.2, rel=1e-4)
+
+
+def test_another_unit_than_the_stated_one_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TargetError, match=r"states its own unit \(mm\), .* is 3\.2 m; leave --units out"):
+        draft(FILE, tmp_path / "satellite.yaml", DraftOptions(units="cm"))
+
+
+def test_a_size_by_the_stated_unit_that_is_not_usual_is_refused_without_another_unit(tmp_path: Path) -> None:
+    large = tmp_path / "large.step"
+    large.write_bytes(FILE.read_bytes().replace(b"SI_UNIT(.MILLI.,.METRE.)", b"SI_UNIT($,.METRE.)"))
+    reason = (
+        r"the unit that the file states makes its longest side 3200 m, .* usual: give --longest-side-m; if"
+    )
+    with pytest.raises(TargetError, match=reason):
+        draft(large, tmp_path / "large.yaml", DraftOptions())
 
 
 def test_a_damaged_file_is_told() -> None:

@@ -1,0 +1,52 @@
+"""STEP files, which the library cascadio (OpenCASCADE) turns into GLB; needs the extra ``step``."""
+
+import re
+
+_DEFLECTION = 0.001
+"""Greatest distance of a triangle from a curved surface, as a share of an edge's length."""
+_ANGLE_RAD = 0.2
+"""Greatest angle between neighbouring segments of a curved edge."""
+_METRES = re.compile(rb"SI_UNIT\s*\(\s*(?:\$|\.([A-Z]+)\.)\s*,\s*\.METRE\.\s*\)")
+_CONVERTED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'\s*([A-Za-z]+)")
+_UNITS = {
+    b"": "m",
+    b"KILO": "km",
+    b"DECI": "dm",
+    b"CENTI": "cm",
+    b"MILLI": "mm",
+    b"INCH": "in",
+    b"FOOT": "ft",
+}
+
+
+class MissingExtraError(ValueError):
+    """The library that reads STEP is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__("is STEP, which needs the extra: pip install 'rpod[step]'")
+
+
+def units(content: bytes) -> tuple[str, ...]:
+    """Return the units of length that a STEP file names, as ``rpod target new`` names them."""
+    found = [match[1] or b"" for match in _METRES.finditer(content)]
+    found += [match[1].upper() for match in _CONVERTED.finditer(content)]
+    return tuple(dict.fromkeys(_UNITS[one] for one in found if one in _UNITS))
+
+
+def as_glb(content: bytes) -> bytes:
+    """Return a STEP file as GLB, in metres: one mesh a part, with a primitive for each of its colours.
+
+    Raises:
+        MissingExtraError: the library for it is not installed.
+        Exception: the content is wrong, in any way.
+    """
+    try:
+        import cascadio  # noqa: PLC0415 - only STEP files need it
+    except ImportError as error:
+        raise MissingExtraError from error
+    glb: bytes = cascadio.load(
+        content, file_type="step", tol_linear=_DEFLECTION, tol_angular=_ANGLE_RAD, tol_relative=True
+    )
+    if not glb:
+        raise ValueError("OpenCASCADE finds no shape in it")
+    return glb
