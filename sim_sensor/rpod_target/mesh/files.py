@@ -194,6 +194,8 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
         options["split_objects"] = obj_text.has_objects(content)
         options["split_groups"] = not options["split_objects"]
     others, kind = _Beside(beside), suffix[1:]
+    if suffix in STEP:
+        step.require_reader()
     try:
         if suffix in STEP:
             content, kind = step.as_glb(content), "glb"
@@ -215,8 +217,6 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
             raise ValueError(_unread(suffix, error)) from error
         reason = f"refers to {others.missing!r}, which is not beside it: copy that file too"
         raise ValueError(reason) from error
-    except step.MissingExtraError:
-        raise
     except IndexError as error:
         raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
     except Exception as error:  # a parser of foreign files raises anything

@@ -1,6 +1,7 @@
 """STEP files, which the library cascadio (OpenCASCADE) turns into GLB; needs the extra ``step``."""
 
 import re
+from importlib.util import find_spec
 
 _DEFLECTION = 0.001
 """Greatest distance of a triangle from a curved surface, as a share of an edge's length."""
@@ -19,11 +20,10 @@ _UNITS = {
 }
 
 
-class MissingExtraError(ValueError):
-    """The library that reads STEP is not installed."""
-
-    def __init__(self) -> None:
-        super().__init__("is STEP, which needs the extra: pip install 'rpod[step]'")
+def require_reader() -> None:
+    """Check that STEP files can be read. Raises ``ValueError`` with the remedy."""
+    if find_spec("cascadio") is None:
+        raise ValueError("is STEP, which needs the extra: pip install 'rpod[step]'")
 
 
 def units(content: bytes) -> tuple[str, ...]:
@@ -37,13 +37,10 @@ def as_glb(content: bytes) -> bytes:
     """Return a STEP file as GLB, in metres: one mesh a part, with a primitive for each of its colours.
 
     Raises:
-        MissingExtraError: the library for it is not installed.
         Exception: the content is wrong, in any way.
     """
-    try:
-        import cascadio  # noqa: PLC0415 - only STEP files need it
-    except ImportError as error:
-        raise MissingExtraError from error
+    import cascadio  # noqa: PLC0415 - only STEP files need it
+
     glb: bytes = cascadio.load(
         content, file_type="step", tol_linear=_DEFLECTION, tol_angular=_ANGLE_RAD, tol_relative=True
     )

@@ -19,7 +19,7 @@ from rpod_schemas.topics import CAMERA_INFO, optical_frame
 class MonoReader:
     """Frames of a monocular camera, which says nothing of itself: rpod_runtime.frames.SensorReader."""
 
-    said = None
+    newest_info = None
 
     def __init__(self, source: SourceConfig) -> None:
         """Take how the driver publishes; images need nothing of it."""
