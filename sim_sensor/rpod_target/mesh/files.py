@@ -27,6 +27,8 @@ METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
 STEP = (".step", ".stp")
 """Suffixes of STEP files."""
+MOST_TRIANGLES = 10_000_000
+"""Greatest number of triangles of a file, each copy of an object counted: they take 0.7 GB."""
 _TEXTS = (".obj", ".off")
 _GLTF = (".gltf", ".glb")
 
@@ -237,6 +239,9 @@ def _pieces(scene: Any) -> Iterator[_Piece]:
         (order[name], _object_of(scene, node), transform, scene.geometry[name])
         for transform, name, node in nodes
     ]
+    count = sum(len(getattr(geometry, "faces", ())) for *_, geometry in labelled)
+    if count > MOST_TRIANGLES:
+        raise ValueError(f"contains {count} triangles, at most {MOST_TRIANGLES} are read: simplify it first")
     for _, node, transform, geometry in sorted(labelled, key=lambda entry: entry[:2]):
         faces = getattr(geometry, "faces", None)
         if faces is None or not len(faces):

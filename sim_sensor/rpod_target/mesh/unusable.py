@@ -23,6 +23,8 @@ _NAMES = {
 _COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _INSTANCES = "EXT_mesh_gpu_instancing"
 """Extension that places a mesh several times; a reader without it shows the mesh once."""
+_MOST_ABSENT = 1 << 25
+"""Greatest number of values that a glTF file may announce without having them: they count as zeros."""
 
 
 def unusable(suffix: str, content: bytes) -> str:
@@ -96,7 +98,17 @@ def _wrong_gltf(content: bytes) -> str:
         needed, used = (document.get(f"extensions{which}", []) for which in ("Required", "Used"))
     except (ValueError, AttributeError, RecursionError):
         return "" if binary else "is no glTF, whose text is one JSON object: export it again"
+    if (absent := _absent_values(document)) > _MOST_ABSENT:
+        return f"announces {absent} values that are not in it: export it again"
     if isinstance(used, list) and _INSTANCES in used:
         return f"has instances of meshes ({_INSTANCES}), which are not read: export it without this extension"
     found = [name for name in _COMPRESSIONS if isinstance(needed, list) and name in needed]
     return f"is compressed ({found[0]}), which is not read: export it without compression" if found else ""
+
+
+def _absent_values(document: dict[str, Any]) -> int:
+    """Return the number of values that a glTF document announces and its buffers do not have."""
+    accessors = document.get("accessors", [])
+    entries = [one for one in accessors if isinstance(one, dict)] if isinstance(accessors, list) else []
+    counts = [one.get("count") for one in entries if "bufferView" not in one]
+    return sum(count for count in counts if isinstance(count, int))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rpod_target.drafting.draft import DraftOptions, draft
+from rpod_target.mesh import files as mesh_files
 from rpod_target.mesh.files import MeshFile, companions, read_mesh_file
 from rpod_target.mesh.topology import volume_m3
 
@@ -246,6 +247,23 @@ def test_a_buffer_that_is_not_there_is_named_as_a_file_is() -> None:
     name, content, _ = files(made, joined(TETRAHEDRON), "beside")
     with pytest.raises(ValueError, match=r"refers to 'my hull\.bin', which is not beside it: copy that file"):
         read_mesh_file(name, content, {})
+
+
+def test_values_that_are_announced_and_not_there_take_no_memory() -> None:
+    made = document(PLAIN, TETRAHEDRON)
+    del made["accessors"][0]["bufferView"]
+    made["accessors"][0]["count"] = 10**11
+    with pytest.raises(ValueError, match="announces 100000000000 values that are not in it: export it again"):
+        read_mesh_file(*files(made, joined(TETRAHEDRON), "glb"))
+
+
+def test_copies_of_an_object_count_towards_the_most_triangles(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = document(PLAIN, TETRAHEDRON)
+    made["nodes"] = [{"mesh": 0}, {"mesh": 0}]
+    made["scenes"] = [{"nodes": [0, 1]}]
+    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 7)
+    with pytest.raises(ValueError, match="contains 8 triangles, at most 7 are read: simplify it first"):
+        read_mesh_file(*files(made, joined(TETRAHEDRON), "glb"))
 
 
 def test_instances_are_refused_since_their_reader_shows_one_of_them() -> None:
