@@ -100,8 +100,13 @@ def draft(
 
     try:
         sections, found = written(options)
-        if options.origin == "auto" and any(one.beside_origin_m > 0.0 for one in found):
+        beside_m = max((one.beside_origin_m for one in found), default=0.0)
+        if options.origin == "auto" and beside_m > 0.0:
             sections, found = written(replace(options, origin="centre"))
+            told.append(
+                f"an axis of symmetry passes {beside_m:.3g} m beside the file's origin, which a target file "
+                "cannot state: --origin file keeps the origin and leaves the symmetry out"
+            )
         told += sections.told
         out.write_text(sections.text(_symmetries(found, told)), encoding="utf-8")
         say("building the target with its symmetries")
