@@ -276,7 +276,7 @@ def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_P
     visual = geometry.visual
     if getattr(visual, "kind", None) in {"face", "vertex"}:
         colours, of_face = np.unique(np.asarray(visual.face_colors)[:, :3], axis=0, return_inverse=True)
-        if len(colours) <= _MOST_COLOURS:
+        if len(colours) <= off_text.MOST_COLOURS:
             for number, colour in enumerate(colours):
                 red, green, blue = (float(value) / 255.0 for value in colour)
                 painted = FileMaterial(_colour_name((red, green, blue)), (red, green, blue), None, None)
@@ -304,8 +304,6 @@ def _without_material(name: str, material: str) -> str:
 
 _NAMELESS = "mesh"
 """Name of the object of a file that names none."""
-_MOST_COLOURS = 16
-"""Greatest number of colours of a mesh that count as materials: with more, they are a texture."""
 
 
 def _material(material: Any) -> FileMaterial:

@@ -7,8 +7,8 @@ import numpy as np
 
 _HEADER = re.compile(rb"\s*+(?:(ST)?(C)?(N)?(4)?(n)?OFF\b)?[ \t]*+(BINARY)?", re.IGNORECASE)
 _COMMENT = re.compile(rb"#[^\n]*+")
-_MOST_COLOURS = 16
-"""Greatest number of colours of faces that count as materials."""
+MOST_COLOURS = 16
+"""Greatest number of colours of a mesh that count as materials: with more, they are a texture."""
 
 
 def as_obj(content: bytes) -> tuple[bytes, bytes]:
@@ -55,7 +55,7 @@ def _polygon(words: list[bytes]) -> tuple[bytes, list[int]]:
 def _obj(places: list[list[bytes]], polygons: list[tuple[bytes, list[int]]]) -> tuple[bytes, bytes]:
     body = [b"v " + b" ".join(place[:3]) for place in places]
     colours = sorted({colour for colour, _ in polygons if colour})
-    if len(colours) > _MOST_COLOURS:
+    if len(colours) > MOST_COLOURS:
         colours = []
     if not colours:
         polygons = [(b"", corners) for _, corners in polygons]
