@@ -10,9 +10,6 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
+from rpod_runtime.process.collector import process_starts
 from rpod_schemas.config.estimator import LidarInput, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, LidarScan, PmdFrame, PmdInfo
@@ -122,10 +120,10 @@ def failures(numbers: Iterable[int], kind: str) -> Counter[str]:
 
 
 if __name__ == "__main__":
+    process_starts()  # what a compiler makes stays: the collector would examine it again and again
+    warnings.simplefilter("ignore")
     numbers = range(*map(int, sys.argv[1:]))
-    with ProcessPoolExecutor(
-        len(KINDS_OF_SENSOR), get_context("spawn"), warnings.simplefilter, ("ignore",)
-    ) as pool:
-        found = sum(pool.map(partial(failures, numbers), KINDS_OF_SENSOR), Counter[str]())
+    # One process for all kinds: what their kernels share is compiled once.
+    found = sum((failures(numbers, kind) for kind in KINDS_OF_SENSOR), Counter[str]())
     print(*found.items(), sep="\n")  # noqa: T201
     sys.exit(bool(found))
