@@ -59,10 +59,18 @@ def test_a_cylinder_of_32_facets_has_a_free_axis(tmp_path: Path, cache: Path) ->
     assert "any turn: lidar mistakes it at" in text
 
 
-def test_a_rocket_stage_has_a_free_axis_and_two_different_ends(tmp_path: Path, cache: Path) -> None:
-    target = drafted(trimesh.util.concatenate([tank(48), nozzle()]), tmp_path, cache)
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Target, str]:
+    """Return a rocket stage, and the text of its file."""
+    folder = tmp_path_factory.mktemp("stage")
+    target = drafted(trimesh.util.concatenate([tank(48), nozzle()]), folder, cache)
+    return target, (folder / "body.yaml").read_text()
+
+
+def test_a_rocket_stage_has_a_free_axis_and_two_different_ends(stage: tuple[Target, str]) -> None:
+    target, text = stage
     assert [(one.continuous, one.exact) for one in target.symmetries] == [(True, True)]
-    assert "any turn: no sensor tells the angle" in (tmp_path / "body.yaml").read_text()
+    assert "any turn: no sensor tells the angle" in text
 
 
 def test_a_square_tank_has_no_free_axis(tmp_path: Path, cache: Path) -> None:
@@ -138,8 +146,8 @@ def test_a_camera_tells_what_only_brightness_distinguishes(tmp_path: Path, cache
     assert 2 * close.alike < close.views
 
 
-def test_about_a_free_axis_no_angle_is_an_error(tmp_path: Path, cache: Path) -> None:
-    target = drafted(trimesh.util.concatenate([tank(48), nozzle()]), tmp_path, cache)
+def test_about_a_free_axis_no_angle_is_an_error(stage: tuple[Target, str]) -> None:
+    target, _ = stage
     truth = make_pose(translation_m=[0.0, 0.0, 6.0])
     about_z = Rotation.from_rotvec([0.0, 0.0, 0.8])
     spun = make_pose(translation_m=[0.0, 0.0, 6.0], rotation=about_z)
