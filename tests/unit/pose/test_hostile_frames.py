@@ -4,6 +4,8 @@
 types come again.
 """
 
+import shutil
+
 import pytest
 from tests import hostile_frames
 
@@ -12,3 +14,26 @@ from tests import hostile_frames
 @pytest.mark.parametrize("kind", hostile_frames.KINDS_OF_SENSOR)
 def test_no_frame_and_no_prediction_raises(kind):
     assert not hostile_frames.failures(range(12), kind)
+
+
+def test_any_change_of_the_code_or_of_a_package_is_seen(tmp_path):
+    for room in hostile_frames.ROOMS:
+        shutil.copytree(
+            hostile_frames.ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    changed = (
+        "services/rpod_pose/registration/lie_group.py",
+        "schemas/rpod_schemas/types.py",
+        "tests/hostile_frames.py",
+        "deploy/supply/requirements.lock",
+    )
+    for name in changed[2:]:
+        (tmp_path / name).parent.mkdir(parents=True)
+        shutil.copy(hostile_frames.ROOT / name, tmp_path / name)
+    known = {hostile_frames.digest_of_code()}
+    assert hostile_frames.digest_of_code(tmp_path) in known
+    for name in changed:
+        with (tmp_path / name).open("a") as file:
+            file.write("\n")
+        known.add(hostile_frames.digest_of_code(tmp_path))
+    assert len(known) == 1 + len(changed)
