@@ -22,9 +22,9 @@ from rpod_schemas.types import Source
 from rpod_target import Target
 
 MARGINS = 0.2, 0.06, 0.015
-"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
-radius. The last is needed only where other things touch the target. Hand: wider ones keep more of what
-touches the target, narrower ones cut off some of the target."""
+"""Errors of a predicted pose, of the pose found from it or by a search, and of the one found from that, over the
+target's radius. The last is needed only where other things touch the target. Hand: wider ones keep more of
+what touches the target, narrower ones cut off some of the target."""
 NARROW = 0.06
 """Least margin of ranges, over the target's radius. Hand: the second of ``MARGINS``."""
 BIAS_SIGMAS = 2.0
@@ -86,14 +86,11 @@ class TrackerAmongThings(Generic[FrameT]):
     def track(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
         whole = self.frames.whole_of(measurement)
-        if whole is None and self.cluttered(measurement) is None:
+        if whole is not None:  # a search gave the pose
+            return self.track_among(whole, T_sensor_target, margins=MARGINS[1:])
+        if self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
-        if whole is None:
-            return self.track_among(measurement, T_sensor_target)
-        if reason := self.excluded(measurement, T_sensor_target):
-            belief = contradicted(reason)
-            return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
-        return self.track_among(whole, T_sensor_target)
+        return self.track_among(measurement, T_sensor_target)
 
     def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
         """Return why no pose near one that a search found can be the target's; empty if one may be.
@@ -105,8 +102,7 @@ class TrackerAmongThings(Generic[FrameT]):
         image = None if whole is None else self.frames.image(whole, fine=True)
         if image is None:
             return ""
-        margin = self._margin(Registration.none(Source.NONE, ""), MARGINS[0])
-        sight = with_target_at(image, self.target, T_sensor_target, margin)
+        sight = self._sight(MARGINS[0], image, Registration.none(Source.NONE, ""), T_sensor_target)
         return _unlike(sight, self._most_unexplained(image, T_sensor_target))
 
     def log_likelihoods(
@@ -120,8 +116,7 @@ class TrackerAmongThings(Generic[FrameT]):
     def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
         """Return what a found pose leaves of a frame, at the widest margin."""
         assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
-        margin = self._margin(found, MARGINS[0])
-        return with_target_at(image.corrected(found.range_bias_m), self.target, found.T_sensor_target, margin)
+        return self._sight(MARGINS[0], image, found, found.T_sensor_target)
 
     def _most_unexplained(self, image: RangeImage, T_sensor_target: RigidTransform) -> int:
         """Return the greatest number of connected rays that may remain unexplained."""
@@ -146,51 +141,56 @@ class TrackerAmongThings(Generic[FrameT]):
     ) -> Registration:
         """Return the registration in a frame that shows more than the target.
 
+        What the frame shows at a narrow margin may contradict every pose within it; this takes much less time
+        than an alignment.
+
         Args:
             measurement: the whole frame.
-            T_sensor_target: predicted pose.
+            T_sensor_target: pose that was predicted or found.
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration that gave the pose, if the same frame did.
         """
         step()
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
-        share, *narrower = margins
-        start = before or Registration.none(Source.NONE, "")
-        found, sight = self._tracked_within(share, measurement, image, start, T_sensor_target)
-        for margin in narrower:
+        found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
+        for share in margins:
+            sight = self._sight(share, image, found, pose)
+            found = replace(found, T_sensor_target=pose)
+            if share < MARGINS[0] and _unlike(sight, self._most_unexplained(image, pose)):
+                break
+            found = self._tracked_in(sight, measurement, pose)
             if found.T_sensor_target is None or (share < MARGINS[0] and found.continues_track):
                 break
-            share = margin
-            found, sight = self._tracked_within(share, measurement, image, found, found.T_sensor_target)
+            pose = found.T_sensor_target
         if found.T_sensor_target is None:
             return found
         belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})
         most_unexplained = self._most_unexplained(image, found.T_sensor_target)
         return _checked(replace(found, belief=belief), sight, most_unexplained)
 
-    def _tracked_within(
-        self, share: float, measurement: FrameT, image: RangeImage, found: Registration, pose: RigidTransform
-    ) -> tuple[Registration, Sight]:
-        """Return the registration from a pose in what it leaves of a frame, and what that is.
+    def _tracked_in(self, sight: Sight, measurement: FrameT, pose: RigidTransform) -> Registration:
+        """Return the registration from a pose, T_sensor_target, in what a sight leaves of a whole frame."""
+        return self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
+
+    def _sight(self, share: float, image: RangeImage, found: Registration, pose: RigidTransform) -> Sight:
+        """Return what a pose says of each ray of a frame.
 
         Args:
             share: error of the pose, over the target's radius.
-            measurement: the whole frame.
-            image: its ranges of many rays.
+            image: ranges of many rays of the frame.
             found: registration of the same frame that gave the pose; one without a pose if none did.
-            pose: T_sensor_target from which is tracked.
+            pose: T_sensor_target.
         """
         corrected = image.corrected(found.range_bias_m)
-        sight = with_target_at(corrected, self.target, pose, self._margin(found, share))
-        separated = self.frames.separated(measurement, sight.labels, sight.inside)
-        return self._tracker.track(separated, pose), sight
+        return with_target_at(corrected, self.target, pose, self._margin(found, share))
 
     def _margin(self, found: Registration, share: float) -> Margin:
         """Return the margin around a pose, given as a share of the target's radius."""
         radius_m = self.target.radius_m
         known = np.isfinite(found.cost_m2)
-        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else BIAS_SIGMAS * self.frames.range_bias_m
+        bias_m = max(MARGINS[0] * radius_m, BIAS_SIGMAS * self.frames.range_bias_m)
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else bias_m
         return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
 
 
@@ -217,7 +217,7 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     if not reason and sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
         reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
-    if reason and found.continues_track:
+    if reason and (found.continues_track or not found.belief.reason):
         return replace(found, belief=contradicted(reason, **evidence))
     return replace(found, belief=replace(found.belief, evidence=evidence))
 

@@ -134,6 +134,32 @@ def test_a_ray_that_passes_where_the_target_should_be_contradicts_the_pose():
     assert not methods().tracker.track(frame("laboratory"), beside).continues_track
 
 
+class Counting:
+    """A tracker that counts the alignments of another one."""
+
+    def __init__(self, tracker) -> None:
+        self.tracker, self.alignments = tracker, 0
+
+    def track(self, measurement, pose):
+        self.alignments += 1
+        return self.tracker.track(measurement, pose)
+
+
+def test_a_pose_of_a_search_is_aligned_once_and_not_at_all_where_the_frame_contradicts_it(monkeypatch):
+    among, whole = methods().acquirer._acquirer._tracker, frame("laboratory")
+    part = PmdFrames().part_of(whole.model_copy(), whole)
+    counting = Counting(among._tracker)
+    monkeypatch.setattr(among, "_tracker", counting)
+    found = among.track(part, near(1.0, 0.005))
+    assert found.continues_track, found.belief.reason
+    assert_near(found.T_sensor_target)
+    assert counting.alignments == 1
+    refused = among.track(part, make_pose(rotation=POSE.rotation, translation_m=(-0.8, 0.0, 4.0)))
+    assert not refused.continues_track
+    assert "rays pass through the target" in refused.belief.reason
+    assert counting.alignments == 1
+
+
 @pytest.mark.parametrize("covered", [0.0, 0.2, 0.5, 0.8])
 def test_a_pixel_at_the_outline_keeps_the_light_of_the_part_that_the_target_covers(covered):
     """Ranges of a camera that does not mix them are those of the wall; others lie between both."""
