@@ -22,9 +22,9 @@ from rpod_schemas.types import Source
 from rpod_target import Target
 
 MARGINS = 0.2, 0.06, 0.015
-"""Errors of a predicted pose, of the pose found from it or by a search, and of the one found from that, over the
-target's radius. The last is needed only where other things touch the target. Hand: wider ones keep more of
-what touches the target, narrower ones cut off some of the target."""
+"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
+radius. The last is needed only where other things touch the target. Hand: wider ones keep more of what
+touches the target, narrower ones cut off some of the target."""
 NARROW = 0.06
 """Least margin of ranges, over the target's radius. Hand: the second of ``MARGINS``."""
 BIAS_SIGMAS = 2.0
@@ -86,11 +86,14 @@ class TrackerAmongThings(Generic[FrameT]):
     def track(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
         whole = self.frames.whole_of(measurement)
-        if whole is not None:  # a search gave the pose
-            return self.track_among(whole, T_sensor_target, margins=MARGINS[1:])
-        if self.cluttered(measurement) is None:
+        if whole is None and self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
-        return self.track_among(measurement, T_sensor_target)
+        if whole is None:
+            return self.track_among(measurement, T_sensor_target)
+        if reason := self.excluded(measurement, T_sensor_target):
+            belief = contradicted(reason)
+            return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
+        return self.track_among(whole, T_sensor_target)
 
     def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
         """Return why no pose near one that a search found can be the target's; empty if one may be.
@@ -146,7 +149,7 @@ class TrackerAmongThings(Generic[FrameT]):
 
         Args:
             measurement: the whole frame.
-            T_sensor_target: pose that was predicted or found.
+            T_sensor_target: predicted pose.
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration that gave the pose, if the same frame did.
         """
@@ -189,8 +192,7 @@ class TrackerAmongThings(Generic[FrameT]):
         """Return the margin around a pose, given as a share of the target's radius."""
         radius_m = self.target.radius_m
         known = np.isfinite(found.cost_m2)
-        bias_m = max(MARGINS[0] * radius_m, BIAS_SIGMAS * self.frames.range_bias_m)
-        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else bias_m
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else BIAS_SIGMAS * self.frames.range_bias_m
         return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
 
 
@@ -217,7 +219,7 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     if not reason and sight.continued_share > MOST_CONTINUED:
         share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
         reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
-    if reason and (found.continues_track or not found.belief.reason):
+    if reason and found.continues_track:
         return replace(found, belief=contradicted(reason, **evidence))
     return replace(found, belief=replace(found.belief, evidence=evidence))
 

@@ -19,7 +19,7 @@ from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.surroundings import SensorSurroundings
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_schemas.types import Camera, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Camera, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -145,19 +145,20 @@ class Counting:
         return self.tracker.track(measurement, pose)
 
 
-def test_a_pose_of_a_search_is_aligned_once_and_not_at_all_where_the_frame_contradicts_it(monkeypatch):
-    among, whole = methods().acquirer._acquirer._tracker, frame("laboratory")
-    part = PmdFrames().part_of(whole.model_copy(), whole)
+def test_where_the_frame_contradicts_every_pose_within_a_margin_none_is_aligned(monkeypatch):
+    among, seen = methods().acquirer._acquirer._tracker, frame("laboratory")
     counting = Counting(among._tracker)
     monkeypatch.setattr(among, "_tracker", counting)
-    found = among.track(part, near(1.0, 0.005))
+    found = among.track(seen, near(2.0, 0.03))
     assert found.continues_track, found.belief.reason
-    assert_near(found.T_sensor_target)
-    assert counting.alignments == 1
-    refused = among.track(part, make_pose(rotation=POSE.rotation, translation_m=(-0.8, 0.0, 4.0)))
+    assert counting.alignments == 2  # at the widest margin and at the next one
+    beside = make_pose(rotation=POSE.rotation, translation_m=POSE.translation - np.array([0.8, 0, 0]))
+    refused = among.track(seen, beside)
     assert not refused.continues_track
-    assert "rays pass through the target" in refused.belief.reason
-    assert counting.alignments == 1
+    assert counting.alignments == 3  # none at a narrow margin
+    whole = PmdFrames().part_of(seen.model_copy(), seen)
+    assert among.track(whole, beside).belief.level is BeliefLevel.CONTRADICTED
+    assert counting.alignments == 3
 
 
 @pytest.mark.parametrize("covered", [0.0, 0.2, 0.5, 0.8])
