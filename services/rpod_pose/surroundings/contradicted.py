@@ -13,6 +13,7 @@ from math import sqrt
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_pose.search.hypotheses import belief_with_rivals
 from rpod_schemas.poses import rotation_matrix
@@ -84,3 +85,9 @@ def _judged(found: Acquisition, whole: Registration) -> Acquisition:
     belief = replace(whole.belief, insufficient=ranked.insufficient)
     belief = belief_with_rivals(ranked.rivals, belief, least=ranked.needed_weight)
     return replace(found, registration=replace(whole, belief=belief))
+
+
+def with_contradiction(found: Acquisition, reason: str) -> Acquisition:
+    """Return an acquisition whose pose is contradicted, with the evidence that it had."""
+    belief = contradicted(reason, **found.belief.evidence)
+    return replace(found, registration=replace(found.registration, belief=belief))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquirer, Acquisition, ComparingTracker, Outcome, Registration, Tracker
-from rpod_pose.surroundings.contradicted import are_close, supported
+from rpod_pose.surroundings.contradicted import are_close, supported, with_contradiction
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
@@ -88,12 +88,10 @@ class TrackerAmongThings(Generic[FrameT]):
         whole = self.frames.whole_of(measurement)
         if whole is None and self.cluttered(measurement) is None:
             return self._tracker.track(measurement, T_sensor_target)
-        if whole is None:
-            return self.track_among(measurement, T_sensor_target)
-        if reason := self.excluded(measurement, T_sensor_target):
+        if whole is not None and (reason := self.excluded(measurement, T_sensor_target)):
             belief = contradicted(reason)
             return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
-        return self.track_among(whole, T_sensor_target)
+        return self.track_among(measurement if whole is None else whole, T_sensor_target)
 
     def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
         """Return why no pose near one that a search found can be the target's; empty if one may be.
@@ -256,9 +254,8 @@ class AcquirerAmongThings(Generic[FrameT]):
         assert fine is not None  # noqa: S101 - the coarse image is known
         nothing = "no surface of the target's size stands apart from other things"
         best = Acquisition(Registration.none(Source.NONE, nothing))
-        places_m = None if pose is None else pose.translation
         accepted, taken, rays = None, np.zeros(image.range_m.shape, bool), 0
-        for number, place in enumerate(places(image, radius_m, places_m)):
+        for number, place in enumerate(places(image, radius_m, None if pose is None else pose.translation)):
             if accepted is not None and np.count_nonzero(place) < RIVAL * rays:
                 break
             if accepted is not None and np.count_nonzero(place & taken) > RIVAL * np.count_nonzero(place):
@@ -268,14 +265,15 @@ class AcquirerAmongThings(Generic[FrameT]):
             found = self._supported(measurement, fine, found, pose, number == 0)
             if found.begins_track and accepted is None:
                 found = self._searched_in_remainder(measurement, fine, found, pose)
+            found = self._held(measurement, found)
             if found.begins_track and accepted is None:
                 accepted, taken, rays = found, place, int(np.count_nonzero(place))
             elif found.begins_track and _apart_m(found, accepted) > radius_m:
-                return _contradicted(found, "two surfaces look like the target")
+                return with_contradiction(found, "two surfaces look like the target")
             if number == 0 or (best.outcome is Outcome.FAILED and found.outcome is not Outcome.FAILED):
                 best = found
         if accepted is not None and (ratio := self._ratio_of_units(measurement, image, accepted)):
-            return _contradicted(accepted, OTHER_UNIT.format(ratio))
+            return with_contradiction(accepted, OTHER_UNIT.format(ratio))
         return accepted or best
 
     def _ratio_of_units(self, measurement: FrameT, image: RangeImage, found: Acquisition) -> float:
@@ -353,6 +351,16 @@ class AcquirerAmongThings(Generic[FrameT]):
         again = self._searched(measurement, fine, sight.labels, pose)
         return found if again.outcome is Outcome.FAILED else again
 
+    def _held(self, measurement: FrameT, found: Acquisition) -> Acquisition:
+        """Return an acquisition, contradicted if the tracker loses an accepted pose in the same frame.
+
+        It is aligned as the next frame will be; a pose at another thing is accepted from elsewhere only.
+        """
+        if found.pose is None or not found.begins_track:
+            return found
+        again = self._tracker.track_among(measurement, found.pose)
+        return found if again.continues_track else with_contradiction(found, again.belief.reason)
+
     def _verified(self, measurement: FrameT, found: Acquisition) -> Acquisition:
         """Return an acquisition with the tracker's belief in the whole frame, if that is not known yet."""
         if found.pose is None or not found.belief.continues_track or VISIBLE in found.belief.evidence:
@@ -390,9 +398,3 @@ def _apart_m(found: Acquisition, other: Acquisition | None) -> float:
     if found.pose is None or other is None or other.pose is None:
         return 0.0
     return float(np.linalg.norm(found.pose.translation - other.pose.translation))
-
-
-def _contradicted(found: Acquisition, reason: str) -> Acquisition:
-    """Return an acquisition whose pose is contradicted, with the evidence that it had."""
-    belief = contradicted(reason, **found.belief.evidence)
-    return replace(found, registration=replace(found.registration, belief=belief))

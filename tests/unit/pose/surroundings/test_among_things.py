@@ -129,6 +129,18 @@ def test_a_first_pose_that_is_a_part_of_a_larger_thing_names_the_unit(monkeypatc
     assert "if all depths are divided by 4: check the unit" in found.belief.refusal
 
 
+def test_a_first_pose_that_the_tracker_loses_in_the_same_frame_is_not_accepted(monkeypatch):
+    beside = make_pose(rotation=POSE.rotation, translation_m=POSE.translation - np.array([0.8, 0, 0]))
+    accepted = Acquisition(Registration(Source.PMD_JOINT, T_sensor_target=beside, belief=Belief()))
+    acquirer = methods().acquirer._acquirer
+    monkeypatch.setattr(acquirer, "_searched", lambda *_: accepted)
+    monkeypatch.setattr(acquirer, "_searched_in_remainder", lambda *_: accepted)
+    found = acquirer.acquire(frame("laboratory"))
+    assert not found.begins_track
+    assert found.belief.level is BeliefLevel.CONTRADICTED
+    assert found.belief.reason
+
+
 def test_a_ray_that_passes_where_the_target_should_be_contradicts_the_pose():
     beside = make_pose(rotation=POSE.rotation, translation_m=POSE.translation - np.array([0.9, 0, 0]))
     assert not methods().tracker.track(frame("laboratory"), beside).continues_track
