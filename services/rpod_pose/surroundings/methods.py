@@ -157,7 +157,6 @@ class TrackerAmongThings(Generic[FrameT]):
         found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
         for share in margins:
             sight = self._sight(share, image, found, pose)
-            found = replace(found, T_sensor_target=pose)
             if share < MARGINS[0] and _unlike(sight, self._most_unexplained(image, pose)):
                 break
             found = self._tracked_in(sight, measurement, pose)
