@@ -40,7 +40,7 @@ collect: $(INSTALLED) ## The tests' files read once, so that the processes of ma
 	@$(BIN)/python -m pytest --collect-only -qq | tail -n 3
 
 bounds: $(INSTALLED) ## Methods on frames that no sensor sends, their compiled code with each index checked
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_LOOP_VECTORIZE=0 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py 60
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_LOOP_VECTORIZE=0 NUMBA_CACHE_DIR=build/bounds PYTHONPATH=. $(BIN)/python tests/hostile_frames.py
 
 check: format lint mypy layers test bounds docs ## All that CI checks, but the viewers
 

@@ -23,7 +23,7 @@ def test_any_change_of_the_code_or_of_a_package_is_seen(tmp_path):
         )
     changed = (
         "services/rpod_pose/registration/lie_group.py",
-        "schemas/rpod_schemas/types.py",
+        "sim_sensor/rpod_target/targets/mockup.yaml",
         "tests/hostile_frames.py",
         "deploy/supply/requirements.lock",
     )
@@ -33,6 +33,7 @@ def test_any_change_of_the_code_or_of_a_package_is_seen(tmp_path):
     known = {hostile_frames.digest_of_code()}
     assert hostile_frames.digest_of_code(tmp_path) in known
     for name in changed:
+        assert (tmp_path / name).is_file()
         with (tmp_path / name).open("a") as file:
             file.write("\n")
         known.add(hostile_frames.digest_of_code(tmp_path))
