@@ -47,8 +47,9 @@ Surroundings = Annotated[
     tuple[SurroundingsName, ...],
     Field(
         min_length=1,
-        description="Things around the target, unknown to methods: laboratory is a room, a stand and an "
-        "arm that holds it; occluded is a room and a plate that hides a half of it.",
+        description="Things around the target, unknown to methods: arm is the end of an arm that holds it, "
+        "and nothing else; laboratory is a room, a stand and an arm; occluded is a room and a plate that "
+        "hides a half of it.",
     ),
 ]
 

@@ -16,8 +16,9 @@ from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_view import HIDDEN_M, ScanView, returns_of
 from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_pose.surroundings.acquirer import AcquirerAmongThings
 from rpod_pose.surroundings.separation import Label, RangeImage
+from rpod_pose.surroundings.tracker import TrackerAmongThings
 from rpod_schemas.config.estimator import LidarInput
 from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, TemplateMatchingConfig
 from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpConfig
@@ -59,7 +60,7 @@ def known_pattern(sensor: LidarInput, info: LidarInfo | None) -> ScanPattern | N
 
 def make_tracker(task: Task) -> Tracker[LidarScan]:
     """Return the configured tracker for a LIDAR with a known scan pattern."""
-    return TrackerAmongThings(_tracker(task), ScanFrames(task.setup), task.target)
+    return TrackerAmongThings(_tracker(task), ScanFrames(task.setup), task.target, touching=True)
 
 
 def _tracker(task: Task) -> Tracker[LidarScan]:
@@ -73,8 +74,9 @@ def make(task: Task) -> Methods:
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
     likelihoods = acquirer.log_likelihoods if isinstance(acquirer, GlobalSearch) else None
-    among_things = TrackerAmongThings(tracker, ScanFrames(task.setup), task.target)
-    return Methods(AcquirerAmongThings(acquirer, among_things), among_things, deskewed, likelihoods)
+    among_things = TrackerAmongThings(tracker, ScanFrames(task.setup), task.target, touching=True)
+    searched = AcquirerAmongThings(acquirer, among_things, likelihoods)
+    return Methods(searched, among_things, deskewed, likelihoods)
 
 
 class ScanFrames:

@@ -23,7 +23,8 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationI
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
 from rpod_pose.ports import Acquirer, ComparingTracker, KindMethods, Methods, Task, Tracker
-from rpod_pose.surroundings.methods import AcquirerAmongThings, TrackerAmongThings
+from rpod_pose.surroundings.acquirer import AcquirerAmongThings
+from rpod_pose.surroundings.tracker import TrackerAmongThings
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.amplitude import EpnpConfig, HybridConfig
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
@@ -102,15 +103,16 @@ def hybrid(config: HybridConfig, task: Task) -> Tracker[PmdFrame]:
     return HybridTracker(config, task.target)
 
 
-def _tracker(task: Task) -> TrackerAmongThings[PmdFrame]:
+def _tracker(task: Task) -> Tracker[PmdFrame]:
     tracker: Tracker[PmdFrame] = method("pmd", task.sensor.tracking.kind).built(task.sensor.tracking, task)
-    return TrackerAmongThings(tracker, frames_of(task.sensor), task.target)
+    return tracker
 
 
 def make(task: Task) -> Methods:
     """Return the configured methods for a PMD camera."""
-    sensor, tracker = task.sensor, _tracker(task)
-    task = task.with_tracker(tracker)
+    sensor, alone, separation = task.sensor, _tracker(task), frames_of(task.sensor)
+    tracker = TrackerAmongThings(alone, separation, task.target, touching=True)
+    task = task.with_tracker(TrackerAmongThings(alone, separation, task.target))
     acquirer = method("pmd", sensor.acquisition.kind).built(sensor.acquisition, task)
     preparation = DepthPreparation(sensor, task.target)
     return Methods(
@@ -124,7 +126,8 @@ def make(task: Task) -> Methods:
 
 def make_tracker(task: Task) -> Tracker[PmdFrame]:
     """Return the configured tracker for a PMD camera."""
-    return PreparedTracker(_tracker(task), DepthPreparation(task.sensor, task.target))
+    tracker = TrackerAmongThings(_tracker(task), frames_of(task.sensor), task.target, touching=True)
+    return PreparedTracker(tracker, DepthPreparation(task.sensor, task.target))
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:

@@ -6,7 +6,7 @@ is repeated without these. What remains compares all attitudes alike, since a re
 costs each the same. So the part ranks the poses, and the whole frame judges the best one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import sqrt
 
@@ -15,10 +15,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
 from rpod_pose.ports import Acquisition, Outcome, Registration
-from rpod_pose.search.hypotheses import belief_with_rivals
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel
-from rpod_target import Target
+from rpod_target import Equivalence, Target
 
 ROUNDS = 3
 """Number of searches in what a contradicted pose leaves of a frame. Numerics: a budget; each starts from a
@@ -85,6 +87,27 @@ def _judged(found: Acquisition, whole: Registration) -> Acquisition:
     belief = replace(whole.belief, insufficient=ranked.insufficient)
     belief = belief_with_rivals(ranked.rivals, belief, least=ranked.needed_weight)
     return replace(found, registration=replace(whole, belief=belief))
+
+
+def with_likely(
+    found: Acquisition, poses: Sequence[Registration], logs: FloatArray, exact: Equivalence
+) -> Acquisition:
+    """Return an acquisition with its near-symmetries as rivals; unchanged if all of these are unlikely.
+
+    Args:
+        found: accepted acquisition.
+        poses: its registration, and those of its near-symmetries.
+        logs: their log likelihoods in the same rays, shape (N,).
+        exact: the target's exact symmetries.
+    """
+    order = np.argsort(-logs, kind="stable")
+    ranked = [poses[index] for index in order]
+    placed = [PoseArrays.of(each.T_sensor_target) for each in ranked if each.T_sensor_target is not None]
+    others = rivals(placed, logs[order], exact)
+    if order[0] == 0 and all(other.exact for other in others):
+        return found
+    belief = belief_with_rivals(others, ranked[0].belief, least=found.belief.needed_weight)
+    return replace(found, registration=replace(ranked[0], belief=belief))
 
 
 def with_contradiction(found: Acquisition, reason: str) -> Acquisition:

@@ -6,16 +6,19 @@ from rpod_schemas.config.surroundings import BoxThing, CylinderThing, Thing
 from rpod_schemas.poses import make_pose
 from rpod_target import Target
 
-SurroundingsName = Literal["none", "laboratory", "occluded"]
-"""Name of the surroundings of a trial. laboratory: a room, a stand beside the target, and an arm that holds
-it from behind; occluded: a room, and a plate before the left half of the field of view."""
+SurroundingsName = Literal["none", "arm", "laboratory", "occluded"]
+"""Name of the surroundings of a trial. arm: the end of an arm that holds the target from behind, and nothing
+else; laboratory: a room, a stand beside the target, and such an arm; occluded: a room, and a plate before the
+left half of the field of view."""
 
 
 def surroundings(name: SurroundingsName, target: Target, range_m: tuple[float, float]) -> tuple[Thing, ...]:
     """Return the things around a target between two ranges on the boresight, sized in its radii."""
+    radius_m, (near_m, far_m) = target.radius_m, range_m
     if name == "none":
         return ()
-    radius_m, (near_m, far_m) = target.radius_m, range_m
+    if name == "arm":
+        return (_arm(target, radius_m),)
     depth_m = far_m + 2.5 * radius_m
     room = BoxThing(
         kind="box",
@@ -29,15 +32,19 @@ def surroundings(name: SurroundingsName, target: Target, range_m: tuple[float, f
         size_m=(0.3 * radius_m, 4.0 * radius_m, 0.3 * radius_m),
         pose=make_pose(translation_m=(-1.6 * radius_m, 1.0 * radius_m, far_m)),
     )
+    return room, stand, _arm(target, 2.0 * radius_m)
+
+
+def _arm(target: Target, length_m: float) -> Thing:
+    """Return the end of an arm that holds a target from behind."""
     behind_m = float(target.triangles_m[..., 0].min())
-    arm = CylinderThing(
+    return CylinderThing(
         kind="cylinder",
-        radius_m=0.1 * radius_m,
-        length_m=2.0 * radius_m,
+        radius_m=0.1 * target.radius_m,
+        length_m=length_m,
         fixed_to="target",
-        pose=make_pose(translation_m=(behind_m - 2.0 * radius_m, 0.0, 0.0)),
+        pose=make_pose(translation_m=(behind_m - length_m, 0.0, 0.0)),
     )
-    return room, stand, arm
 
 
 def _plate(distance_m: float, radius_m: float) -> Thing:

@@ -17,7 +17,7 @@ from rpod_pose.surroundings.other_unit import other_units
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
-from rpod_schemas.config.surroundings import SensorSurroundings
+from rpod_schemas.config.surroundings import CylinderThing, SensorSurroundings
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, Camera, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
@@ -29,10 +29,12 @@ POSE = make_pose(rotation=Rotation.from_euler("ZYX", [20, 60, 10], degrees=True)
 
 @cache
 def frame(name: str, shown: bool = True) -> PmdFrame:
-    target = load_target("mockup")
-    things = surroundings(name, target, (4.0, 4.0))
-    pose = POSE if shown else make_pose(translation_m=(0.0, 0.0, -9.0))
-    exposure = PmdEmulator(CAMERA, target, seed=2, surroundings=things).expose(
+    things = surroundings(name, load_target("mockup"), (4.0, 4.0))
+    return seen(things, POSE if shown else make_pose(translation_m=(0.0, 0.0, -9.0)))
+
+
+def seen(things, pose) -> PmdFrame:
+    exposure = PmdEmulator(CAMERA, load_target("mockup"), seed=2, surroundings=things).expose(
         [pose] * 4, sun_W_m2=np.zeros(3), frame=1
     )
     for image in (exposure.depth_m, exposure.amplitude):
@@ -80,6 +82,43 @@ def test_the_target_is_tracked_among_things_and_behind_a_plate(name):
     assert tracked.continues_track, tracked.belief.reason
     assert_near(tracked.T_sensor_target)
     assert (tracked.belief.evidence["visible_share"] < 0.8) == (name == "occluded")
+
+
+ARM = CylinderThing(
+    kind="cylinder",
+    radius_m=0.1,
+    length_m=1.7,
+    fixed_to="target",
+    pose=make_pose(
+        rotation=Rotation.from_euler("ZYX", [-125, -44.5, 0], degrees=True), translation_m=(0.6, 1.3, -1.5)
+    ),
+)
+"""An arm that holds the mock-up from the side."""
+AHEAD = make_pose(translation_m=(0.0, 0.0, 4.0))
+
+
+def test_the_target_is_found_and_tracked_where_an_unknown_arm_is_all_else_that_is_seen():
+    with_arm = seen((ARM,), AHEAD)
+    acquirer, tracker = methods().acquirer._acquirer, methods().tracker._tracker
+    assert tracker.cluttered(with_arm) is None  # the arm is within the target's size
+    assert not acquirer._acquirer.acquire(with_arm).begins_track  # as if it showed the target alone
+    assert not tracker._tracker.track(with_arm, AHEAD).continues_track
+    found = acquirer.acquire(with_arm)
+    assert found.begins_track, found.belief.refusal
+    tracked = tracker.track(with_arm, make_pose(translation_m=(0.03, 0.0, 4.0)))
+    assert tracked.continues_track, tracked.belief.reason
+    for pose in (found.pose, tracked.T_sensor_target):
+        attitude_rad, position_m = pose_error(AHEAD, pose)
+        assert np.rad2deg(np.linalg.norm(attitude_rad)) < 0.5
+        assert np.linalg.norm(position_m) < 0.03
+
+
+def test_an_arm_without_the_target_is_neither_found_nor_tracked():
+    arm = ARM.model_copy(update={"fixed_to": "chaser", "pose": AHEAD * ARM.pose})
+    alone = seen((arm,), make_pose(translation_m=(0.0, 0.0, -9.0)))
+    assert np.isfinite(alone.depth_m).sum() > 500
+    assert not methods().acquirer.acquire(alone).begins_track
+    assert not methods().tracker.track(alone, AHEAD).continues_track
 
 
 def test_nothing_is_found_and_nothing_tracked_in_a_laboratory_without_the_target():

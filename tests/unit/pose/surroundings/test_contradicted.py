@@ -12,9 +12,10 @@ from rpod_campaign.population import trial as population
 from rpod_campaign.population.trial import PopulationCell
 from rpod_pose.belief import Belief, Rival, contradicted
 from rpod_pose.ports import Acquisition, Outcome, Registration
-from rpod_pose.surroundings.contradicted import ROUNDS, supported
+from rpod_pose.search.turns import Turns
+from rpod_pose.surroundings.contradicted import ROUNDS, supported, with_likely
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Source
+from rpod_schemas.types import BeliefLevel, Source
 
 TURN = Rotation.from_rotvec((0.0, 0.0, np.pi))
 POSE = make_pose(translation_m=(0.0, 0.0, 5.0))
@@ -105,3 +106,49 @@ def test_a_body_beside_a_stand_and_on_an_arm_is_found(name, trial):
     assert position_m is not None
     assert attitude_deg < 0.1
     assert position_m < 0.01
+
+
+def turned(log, level=BeliefLevel.ACCEPTED):
+    """Return an accepted pose after the comparison with its half turn, of a log likelihood relative to it."""
+    accepted = found(Belief(level=level, needed_weight=0.99))
+    pose = make_pose(rotation=TURN, translation_m=POSE.translation)
+    other = replace(accepted.registration, T_sensor_target=pose)
+    exact = cached_target("mockup").equivalence
+    return accepted, with_likely(accepted, [accepted.registration, other], np.array([0.0, log]), exact)
+
+
+def test_an_accepted_pose_without_a_likely_near_symmetry_is_passed_on():
+    accepted, result = turned(-20.0)
+    assert result is accepted
+
+
+def test_a_near_symmetry_that_the_whole_frame_shows_takes_the_place_of_an_accepted_pose():
+    _, result = turned(20.0)
+    assert result.begins_track
+    assert close(result.pose, make_pose(rotation=TURN, translation_m=POSE.translation))
+
+
+def test_a_near_symmetry_that_is_about_as_likely_leaves_the_pose_ambiguous():
+    _, result = turned(-1.0)
+    assert result.outcome is Outcome.AMBIGUOUS
+    assert close(result.pose, POSE)
+    assert "turned by 180 deg" in result.belief.refusal
+
+
+def test_a_near_symmetry_of_the_right_pose_gives_way_to_it_among_other_things():
+    cell = PopulationCell("mockup", "lidar", "acquisition", (200.0, 300.0), surroundings="laboratory")
+    methods, taken = population.measured(cell, 3, 0)
+    scan, target, tracker = taken.measurement, cached_target("mockup"), methods.tracker
+    turn = Turns.of(target).all[0]
+    wrong = tracker.track_among(
+        scan,
+        make_pose(
+            rotation=taken.truth.rotation * Rotation.from_matrix(turn), translation_m=taken.truth.translation
+        ),
+    )
+    assert wrong.begins_track
+    assert errors(taken.truth, wrong.T_sensor_target, target)[0] > 30.0
+    accepted = Acquisition(replace(wrong, belief=replace(wrong.belief, needed_weight=0.99)))
+    result = methods.acquirer._compared(scan, tracker.frames.image(scan, fine=True), accepted)
+    assert result.begins_track
+    assert errors(taken.truth, result.pose, target)[0] < 3.0

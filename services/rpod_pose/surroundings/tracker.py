@@ -1,0 +1,217 @@
+"""A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Generic
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import contradicted
+from rpod_pose.ports import ComparingTracker, Registration, Tracker
+from rpod_pose.surroundings.frames import Frames, FrameT
+from rpod_pose.surroundings.separation import SIGMAS, Margin, RangeImage, Sight, with_target_at
+from rpod_pose.unwanted import step
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Source
+from rpod_target import Target
+
+MARGINS = 0.2, 0.06, 0.015
+"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
+radius. The last is needed only where other things touch the target. Hand: wider ones keep more of what
+touches the target, narrower ones cut off some of the target."""
+NARROW = 0.06
+"""Least margin of ranges, over the target's radius. Hand: the second of ``MARGINS``."""
+BIAS_SIGMAS = 2.0
+"""Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
+before a pose tells this error. Physics: one in 22 normal errors is larger."""
+LEAST_VISIBLE = 0.2
+"""Least share of the target that other things must leave visible. Hand: a track can go on with little;
+``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""
+MOST_CONTINUED = 0.5
+"""Greatest share of the outline across which the surface goes on. Hand: more is a part of a larger thing."""
+DETAIL, LEAST_DETAIL = 0.06, 6
+"""Size of a detail that must be explained, over the target's radius, and its least number of rays. Hand: a
+smaller detail would be found in noise (decision 57)."""
+MARGIN = "separation_margin"
+"""Name of the evidence that says with which of the margins a pose was found."""
+VISIBLE = "visible_share"
+"""Name of the evidence that a pose was verified in a whole frame."""
+
+
+class TrackerAmongThings(Generic[FrameT]):
+    """Tracks in the part of a frame that fits a pose: first the predicted pose, then the one that is found.
+
+    Args:
+        tracker: tracker of frames that show the target alone.
+        frames: frames of the sensor kind.
+        target: the target to track.
+        touching: whether a thing may touch the target in a frame that shows no more than it would fill. Where
+            such a frame contradicts the pose of the target alone, one among other things is tried. A search
+            does so itself, once for all its poses.
+    """
+
+    def __init__(
+        self, tracker: Tracker[FrameT], frames: Frames[FrameT], target: Target, *, touching: bool = False
+    ) -> None:
+        self._tracker, self.frames, self.target = tracker, frames, target
+        self._touching = touching
+
+    def cluttered(self, frame: FrameT) -> RangeImage | None:
+        """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
+        image = self.frames.image(frame, fine=False)
+        if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
+            return None
+        return image
+
+    def track(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why the frame gives none."""
+        whole = self.frames.whole_of(measurement)
+        if whole is None and self.cluttered(measurement) is None:
+            return self._alone(measurement, T_sensor_target)
+        if whole is not None and (reason := self.excluded(measurement, T_sensor_target)):
+            belief = contradicted(reason)
+            return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
+        return self.track_among(measurement if whole is None else whole, T_sensor_target)
+
+    def _alone(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration in a frame that shows no more than the target would fill."""
+        alone = self._tracker.track(measurement, T_sensor_target)
+        if alone.continues_track or not self._touching:
+            return alone
+        if self.frames.image(measurement, fine=False) is None:
+            return alone
+        among = self.track_among(measurement, T_sensor_target)
+        return among if among.continues_track else alone
+
+    def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
+        """Return why no pose near one that a search found can be the target's; empty if one may be.
+
+        Only a part of a frame that keeps the whole one is asked. What the whole frame shows at the widest
+        margin contradicts every pose within this margin, and takes much less time than an alignment.
+        """
+        whole = self.frames.whole_of(measurement)
+        image = None if whole is None else self.frames.image(whole, fine=True)
+        if image is None:
+            return ""
+        sight = self._sight(MARGINS[0], image, Registration.none(Source.NONE, ""), T_sensor_target)
+        return _unlike(sight, self._most_unexplained(image, T_sensor_target))
+
+    def log_likelihoods(
+        self, measurement: FrameT, found: Sequence[Registration], *, ranked_only: bool = False
+    ) -> FloatArray:
+        """Return the log likelihoods of one frame at registered poses; 0 if the tracker compares none."""
+        if not isinstance(self._tracker, ComparingTracker):
+            return np.zeros(len(found))
+        return self._tracker.log_likelihoods(measurement, found, ranked_only=ranked_only)
+
+    def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
+        """Return what a found pose leaves of a frame, at the widest margin."""
+        assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
+        return self._sight(MARGINS[0], image, found, found.T_sensor_target)
+
+    def near_target_at(self, image: RangeImage, found: Registration) -> Sight:
+        """Return what a found pose says of each ray of a frame, at the narrow margin."""
+        assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
+        return self._sight(NARROW, image, found, found.T_sensor_target)
+
+    def _most_unexplained(self, image: RangeImage, T_sensor_target: RigidTransform) -> int:
+        """Return the greatest number of connected rays that may remain unexplained."""
+        distance_m = float(np.linalg.norm(T_sensor_target.translation))
+        return max(LEAST_DETAIL, image.rays_across(DETAIL * self.target.radius_m, distance_m) ** 2)
+
+    def again(self, measurement: FrameT, found: Registration) -> Registration:
+        """Return a registration of the same frame from its own pose, with the margin that it was found at."""
+        pose, whole = found.T_sensor_target, self.frames.whole_of(measurement)
+        if pose is None or whole is None:
+            return found if pose is None else self.track(measurement, pose)
+        last = found.belief.evidence.get(MARGIN, MARGINS[-1])
+        return self.track_among(whole, pose, margins=(last,), before=found)
+
+    def track_among(
+        self,
+        measurement: FrameT,
+        T_sensor_target: RigidTransform,
+        *,
+        margins: tuple[float, ...] = MARGINS,
+        before: Registration | None = None,
+    ) -> Registration:
+        """Return the registration in a frame that shows more than the target.
+
+        What the frame shows at a narrow margin may contradict every pose within it; this takes much less time
+        than an alignment.
+
+        Args:
+            measurement: the whole frame.
+            T_sensor_target: predicted pose.
+            margins: errors of the pose that are tried in turn, over the target's radius.
+            before: registration that gave the pose, if the same frame did.
+        """
+        step()
+        image = self.frames.image(measurement, fine=True)
+        assert image is not None  # noqa: S101 - the coarse image is known
+        found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
+        for share in margins:
+            sight = self._sight(share, image, found, pose)
+            if share < MARGINS[0] and _unlike(sight, self._most_unexplained(image, pose)):
+                break
+            found = self._tracked_in(sight, measurement, pose)
+            if found.T_sensor_target is None or (share < MARGINS[0] and found.continues_track):
+                break
+            pose = found.T_sensor_target
+        if found.T_sensor_target is None:
+            return found
+        belief = replace(found.belief, evidence={**found.belief.evidence, MARGIN: share})
+        most_unexplained = self._most_unexplained(image, found.T_sensor_target)
+        return _checked(replace(found, belief=belief), sight, most_unexplained)
+
+    def _tracked_in(self, sight: Sight, measurement: FrameT, pose: RigidTransform) -> Registration:
+        """Return the registration from a pose, T_sensor_target, in what a sight leaves of a whole frame."""
+        return self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
+
+    def _sight(self, share: float, image: RangeImage, found: Registration, pose: RigidTransform) -> Sight:
+        """Return what a pose says of each ray of a frame.
+
+        Args:
+            share: error of the pose, over the target's radius.
+            image: ranges of many rays of the frame.
+            found: registration of the same frame that gave the pose; one without a pose if none did.
+            pose: T_sensor_target.
+        """
+        corrected = image.corrected(found.range_bias_m)
+        return with_target_at(corrected, self.target, pose, self._margin(found, share))
+
+    def _margin(self, found: Registration, share: float) -> Margin:
+        """Return the margin around a pose, given as a share of the target's radius."""
+        radius_m = self.target.radius_m
+        known = np.isfinite(found.cost_m2)
+        spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else BIAS_SIGMAS * self.frames.range_bias_m
+        return Margin(share * radius_m, float(max(share * radius_m, NARROW * radius_m, spread_m)))
+
+
+def _unlike(sight: Sight, most_unexplained: int) -> str:
+    """Return why a sight is not that of the target; empty if it may be."""
+    if sight.visible_share < LEAST_VISIBLE:
+        hidden = 1.0 - sight.visible_share
+        return f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    if sight.unexplained > most_unexplained:
+        return f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
+    if sight.passed > most_unexplained:
+        return f"rays pass through the target: {sight.passed} side by side, {most_unexplained} at most"
+    return ""
+
+
+def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
+    """Return a registration, which is contradicted where too little of it is the target's own surface."""
+    evidence = {
+        **found.belief.evidence,
+        VISIBLE: sight.visible_share,
+        "continued_outline_share": sight.continued_share,
+    }
+    reason = _unlike(sight, most_unexplained)
+    if not reason and sight.continued_share > MOST_CONTINUED:
+        share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
+        reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
+    if reason and found.continues_track:
+        return replace(found, belief=contradicted(reason, **evidence))
+    return replace(found, belief=replace(found.belief, evidence=evidence))
