@@ -34,6 +34,9 @@ RIVAL = 0.5
 smaller surface is a part of the first one's object."""
 OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
+WITHIN_REACH = "; if something touches the target, declare it: see the bodies of a sensor's surroundings"
+"""Remedy where a pose is found only if things within the target's reach are not its own: they look like its
+details."""
 OTHER_UNIT = (
     "the pose is a part of a larger thing, which looks like the target itself if all depths are divided by "
     "{:g}: check the unit of the ranges, of a camera source.depth_unit_m"
@@ -71,8 +74,9 @@ class AcquirerAmongThings(Generic[FrameT]):
     def _acquired(self, measurement: FrameT, pose: RigidTransform | None) -> Acquisition:
         """Return the acquisition near a pose, or anywhere.
 
-        A frame that shows no more than a target would fill is first taken for the target alone. Where this
-        fails, a thing may touch the target: an arm before a black curtain.
+        A frame that shows little more than a target would fill is first taken for the target alone. Where
+        this fails, a thing may touch the target: an arm before a black curtain. A part of it must lie beyond
+        the target's reach, since a wrong pose leaves a part of the target itself.
         """
         image = self._tracker.cluttered(measurement)
         if image is not None:
@@ -82,7 +86,12 @@ class AcquirerAmongThings(Generic[FrameT]):
         if alone.outcome is not Outcome.FAILED or image is None:
             return alone
         among = self._found(measurement, image, pose)
-        return alone if among.outcome is Outcome.FAILED else among
+        if among.outcome is Outcome.FAILED:
+            return alone
+        if self._tracker.is_touched(measurement, among.registration):
+            return among
+        belief = replace(alone.belief, reason=f"{alone.belief.reason}{WITHIN_REACH}")
+        return replace(alone, registration=replace(alone.registration, belief=belief))
 
     def _in_frame(self, measurement: FrameT, pose: RigidTransform | None) -> Acquisition:
         """Return the acquisition of a target near a pose, or anywhere, in a frame that shows it alone."""

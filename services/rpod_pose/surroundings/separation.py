@@ -101,6 +101,12 @@ class RangeImage:
         away = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1) > BALL * radius_m
         return bool(np.count_nonzero(away) > max(ELSEWHERE_SHARE * len(points_m), ELSEWHERE))
 
+    def rays_beyond(self, reach_m: float, T_sensor_target: RigidTransform) -> int:
+        """Return the greatest number of connected rays that end beyond a reach around a target's origin."""
+        away_m = np.linalg.norm(self.points_m - T_sensor_target.translation, axis=-1)
+        _, number = _patches((self.range_m > 0.0) & (away_m > reach_m))
+        return int(np.bincount(number)[1:].max(initial=0))
+
 
 def with_bodies(labels: NDArray[np.uint8], image: RangeImage) -> NDArray[np.uint8]:
     """Return the labels with those of the rays on known bodies."""

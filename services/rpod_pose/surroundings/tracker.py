@@ -46,9 +46,9 @@ class TrackerAmongThings(Generic[FrameT]):
         tracker: tracker of frames that show the target alone.
         frames: frames of the sensor kind.
         target: the target to track.
-        touching: whether a thing may touch the target in a frame that shows no more than it would fill. Where
-            such a frame contradicts the pose of the target alone, one among other things is tried. A search
-            does so itself, once for all its poses.
+        touching: whether a thing may touch the target in a frame that shows little more than it would fill.
+            Where such a frame contradicts the pose of the target alone, and shows something beyond its reach,
+            one among other things is tried. A search does so itself, once for all its poses.
     """
 
     def __init__(
@@ -75,14 +75,21 @@ class TrackerAmongThings(Generic[FrameT]):
         return self.track_among(measurement if whole is None else whole, T_sensor_target)
 
     def _alone(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration in a frame that shows no more than the target would fill."""
+        """Return the registration in a frame that shows little more than the target would fill."""
         alone = self._tracker.track(measurement, T_sensor_target)
         if alone.continues_track or not self._touching:
             return alone
         if self.frames.image(measurement, fine=False) is None:
             return alone
         among = self.track_among(measurement, T_sensor_target)
-        return among if among.continues_track else alone
+        return among if among.continues_track and self.is_touched(measurement, among) else alone
+
+    def is_touched(self, measurement: FrameT, found: Registration) -> bool:
+        """Return whether a frame shows another thing beside a found pose: beyond the target's reach."""
+        image, pose = self.frames.image(measurement, fine=True), found.T_sensor_target
+        if image is None or pose is None:
+            return False
+        return image.rays_beyond((1.0 + NARROW) * self.target.radius_m, pose) >= LEAST_DETAIL
 
     def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
         """Return why no pose near one that a search found can be the target's; empty if one may be.

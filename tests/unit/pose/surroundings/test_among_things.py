@@ -14,7 +14,7 @@ from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
 from rpod_pose.surroundings.other_unit import other_units
-from rpod_pose.surroundings.separation import Label
+from rpod_pose.surroundings.separation import Label, RangeImage
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.surroundings import CylinderThing, SensorSurroundings
@@ -111,6 +111,17 @@ def test_the_target_is_found_and_tracked_where_an_unknown_arm_is_all_else_that_i
         attitude_rad, position_m = pose_error(AHEAD, pose)
         assert np.rad2deg(np.linalg.norm(attitude_rad)) < 0.5
         assert np.linalg.norm(position_m) < 0.03
+
+
+def test_a_stub_within_the_targets_reach_is_no_other_thing_and_its_remedy_is_told(monkeypatch):
+    """A wrong pose leaves a part of the target itself, which looks like such a stub."""
+    acquirer, tracker = methods().acquirer._acquirer, methods().tracker._tracker
+    with_arm = seen((ARM,), AHEAD)
+    monkeypatch.setattr(RangeImage, "rays_beyond", lambda *_: 0)
+    found = acquirer.acquire(with_arm)
+    assert not found.begins_track
+    assert "if something touches the target, declare it" in found.belief.refusal
+    assert not tracker.track(with_arm, AHEAD).continues_track
 
 
 def test_an_arm_without_the_target_is_neither_found_nor_tracked():
