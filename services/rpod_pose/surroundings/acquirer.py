@@ -1,5 +1,6 @@
 """A search for frames that show more than the target, or a thing that touches it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Generic
 
@@ -184,10 +185,20 @@ class AcquirerAmongThings(Generic[FrameT]):
             lambda left: self._searched(
                 measurement, fine, self._tracker.without_target_at(fine, left).labels, pose
             ),
-            lambda one, other: are_close(self._tracker.target, one, other, MARGINS[0]),
+            self._are_close,
             likely=likely,
         )
         return found if again is found else self._in_view(fine, again)
+
+    def _are_close(self, pose: RigidTransform, other: RigidTransform) -> bool:
+        """Return whether two poses leave about the same of a frame."""
+        return are_close(self._tracker.target, pose, other, MARGINS[0])
+
+    def _is_among(self, found: Registration, others: Sequence[Registration]) -> bool:
+        """Return whether a registered pose is about one of others."""
+        poses = (found.T_sensor_target, *(other.T_sensor_target for other in others))
+        first, *rest = (pose for pose in poses if pose is not None)
+        return any(self._are_close(first, other) for other in rest)
 
     def _searched_in_remainder(
         self, measurement: FrameT, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
@@ -217,8 +228,11 @@ class AcquirerAmongThings(Generic[FrameT]):
             make_pose(rotation=pose.rotation * Rotation.from_matrix(turn), translation_m=pose.translation)
             for turn in self._turns.all[: self._turns.declared]
         )
-        turned = [tracker.track_among(measurement, start) for start in starts]
-        poses = [found.registration, *(each for each in turned if each.continues_track)]
+        poses = [found.registration]
+        for start in starts:
+            turned = tracker.track_among(measurement, start)
+            if turned.continues_track and not self._is_among(turned, poses):
+                poses.append(turned)
         sights = [tracker.near_target_at(fine, each) for each in poses]
         kept = np.any([sight.labels == Label.KEPT for sight in sights], axis=0)
         labels = np.where(kept, np.uint8(Label.KEPT), sights[0].labels)

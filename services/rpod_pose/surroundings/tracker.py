@@ -1,4 +1,4 @@
-"""A tracker and a search for frames that show more than the target; other frames are passed on unchanged."""
+"""A tracker for frames that show more than the target; it passes other frames on unchanged."""
 
 from collections.abc import Sequence
 from dataclasses import replace
