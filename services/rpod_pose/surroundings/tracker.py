@@ -1,4 +1,4 @@
-"""A tracker for frames that show more than the target; it passes other frames on unchanged."""
+"""A tracker for frames that show more than the target, or a thing that touches it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
