@@ -16,7 +16,7 @@ from rpod_pose.surroundings.other_unit import nearer, other_units
 from rpod_pose.surroundings.outline import seen_outline
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Label, RangeImage
-from rpod_pose.surroundings.tracker import MARGINS, NARROW, VISIBLE, TrackerAmongThings
+from rpod_pose.surroundings.tracker import MARGINS, NARROW, RIVAL, VISIBLE, TrackerAmongThings
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Source
 
@@ -30,9 +30,6 @@ LEAST_OUTLINE = 0.5
 """Least share of the target's whole outline at which it is seen to end for a track to begin. Hand: an edge of
 a wall or a plate has the shape of a target's side, but it does not go around a half of the target (decision
 57)."""
-RIVAL = 0.5
-"""Least number of rays on another surface that is searched too, over that on the one with the target. Hand: a
-smaller surface is a part of the first one's object."""
 OUTLINE = "seen_outline_share"
 """Name of the evidence that says at how much of its outline the target is seen to end."""
 WITHIN_REACH = "; if something touches the target, declare it: see the bodies of a sensor's surroundings"

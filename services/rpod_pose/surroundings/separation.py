@@ -135,6 +135,10 @@ class Sight:
     """Rays that meet the target, and so do all around them."""
     visible_share: float
     """Share of the rays on the target that nothing hides."""
+    measured: int
+    """Number of rays on the target that nothing hides and that have a range."""
+    measured_share: float
+    """Number of these rays over that of all rays with a range."""
     unexplained: int
     """Greatest number of connected rays that end within the target's reach and not on it, of a thing that is
     seen to end within this reach: a detail of the target itself. A thing at the image's border may go on."""
@@ -261,6 +265,7 @@ def with_target_at(
     past = _going_on(image, rendered_m, around, reach, margin.range_m)
     labels[~met & measured & (labels == Label.KEPT) & _widened(past, shape)] = Label.HIDING
     hidden = met & (labels == Label.HIDING)
+    on_target = met & measured & (labels == Label.KEPT)
     ring, outside_m = _beside(image, met, rendered_m, target.radius_m)
     beside_m = max(margin.range_m, BESIDE * target.radius_m)
     continued = ring & measured & (np.abs(measured_m - outside_m) < beside_m)
@@ -268,6 +273,8 @@ def with_target_at(
         labels,
         inside,
         1.0 - _share(hidden, met),
+        int(np.count_nonzero(on_target)),
+        _share(on_target, measured),
         _unexplained(image, labels == Label.KEPT, target.radius_m, T_sensor_target),
         int(np.bincount(_patches(inside & (labels == Label.BEYOND))[1])[1:].max(initial=0)),
         _share(continued, ring),

@@ -25,6 +25,9 @@ NARROW = 0.06
 BIAS_SIGMAS = 2.0
 """Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
 before a pose tells this error. Physics: one in 22 normal errors is larger."""
+RIVAL = 0.5
+"""Least number of rays on another surface for it to count beside the target, over that on the target's one.
+Hand: a smaller surface is a part of the same object."""
 LEAST_VISIBLE = 0.2
 """Least share of the target that other things must leave visible. Hand: a track can go on with little;
 ``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""
@@ -37,6 +40,8 @@ MARGIN = "separation_margin"
 """Name of the evidence that says with which of the margins a pose was found."""
 VISIBLE = "visible_share"
 """Name of the evidence that a pose was verified in a whole frame."""
+MEASURED = "measured_share"
+"""Name of the evidence that says how many of the frame's ranges are the target's."""
 
 
 class TrackerAmongThings(Generic[FrameT]):
@@ -85,9 +90,14 @@ class TrackerAmongThings(Generic[FrameT]):
         return among if among.continues_track and self.is_touched(measurement, among) else alone
 
     def is_touched(self, measurement: FrameT, found: Registration) -> bool:
-        """Return whether a frame shows another thing beside a found pose: beyond the target's reach."""
+        """Return whether a frame shows another thing beside a found pose: beyond the target's reach.
+
+        The pose must explain more than a small part of what the frame shows. With less, the target itself
+        would be the other thing, and the pose is in a hole of it or on one of its details.
+        """
         image, pose = self.frames.image(measurement, fine=True), found.T_sensor_target
-        if image is None or pose is None:
+        measured = found.belief.evidence.get(MEASURED, 0.0)
+        if image is None or pose is None or measured < RIVAL * (1.0 - measured):
             return False
         return image.rays_beyond((1.0 + NARROW) * self.target.radius_m, pose) >= LEAST_DETAIL
 
@@ -201,6 +211,8 @@ def _unlike(sight: Sight, most_unexplained: int) -> str:
     if sight.visible_share < LEAST_VISIBLE:
         hidden = 1.0 - sight.visible_share
         return f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+    if sight.measured < most_unexplained:
+        return f"the ranges do not show the target: {sight.measured} are on it, {most_unexplained} needed"
     if sight.unexplained > most_unexplained:
         return f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
     if sight.passed > most_unexplained:
@@ -213,6 +225,7 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     evidence = {
         **found.belief.evidence,
         VISIBLE: sight.visible_share,
+        MEASURED: sight.measured_share,
         "continued_outline_share": sight.continued_share,
     }
     reason = _unlike(sight, most_unexplained)

@@ -1,6 +1,7 @@
 """The target among walls and arms, and behind a plate: found, tracked, and refused where it is not."""
 
 import weakref
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -130,6 +131,34 @@ def test_an_arm_without_the_target_is_neither_found_nor_tracked():
     assert np.isfinite(alone.depth_m).sum() > 500
     assert not methods().acquirer.acquire(alone).begins_track
     assert not methods().tracker.track(alone, AHEAD).continues_track
+
+
+CLOSE = make_pose(rotation=Rotation.from_euler("ZYX", [-90, 90, 0], degrees=True), translation_m=(0, 0.05, 2))
+"""The mock-up's nozzle before the camera, so close that the camera has no range in the nozzle."""
+
+
+@pytest.mark.parametrize("far_m", [6.0, 7.0])
+def test_a_pose_that_no_range_shows_is_not_tracked_in_a_hole_of_the_target_itself(far_m):
+    """As after a long search: the target has come near since, and the prediction is far behind it."""
+    close = seen((), CLOSE)
+    middle = np.isfinite(close.depth_m[130:150, 165:185])
+    assert not middle.any(), "the target has a hole without ranges"
+    far = make_pose(rotation=CLOSE.rotation, translation_m=(0.0, 0.05, far_m))
+    tracker = methods().tracker._tracker
+    for tracked in (tracker.track(close, far), tracker.track_among(close, far)):
+        assert not tracked.continues_track
+    assert tracker.track(close, CLOSE).continues_track
+
+
+def test_where_a_pose_explains_a_small_part_of_a_frame_the_rest_is_no_arm():
+    with_arm = seen((ARM,), AHEAD)
+    tracker = methods().tracker._tracker
+    tracked = tracker.track(with_arm, AHEAD)
+    assert tracked.continues_track
+    assert tracked.belief.evidence["measured_share"] > 0.5
+    belief = replace(tracked.belief, evidence={**tracked.belief.evidence, "measured_share": 0.3})
+    assert tracker.is_touched(with_arm, tracked)
+    assert not tracker.is_touched(with_arm, replace(tracked, belief=belief))
 
 
 def test_nothing_is_found_and_nothing_tracked_in_a_laboratory_without_the_target():
