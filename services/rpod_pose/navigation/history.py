@@ -9,7 +9,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from rpod_pose.navigation.dynamics.manoeuvre import calmed, explaining, is_expected
+from rpod_pose.navigation.dynamics.manoeuvre import explaining, followed, is_expected
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -117,5 +117,5 @@ def _applied(
             if again.accepted:
                 predicted, outcome = raised, again
     if outcome.accepted:
-        outcome = outcome._replace(state=calmed(outcome.state))
+        outcome = outcome._replace(state=followed(before, outcome, measurement, config))
     return Step(measurement, predicted, outcome)

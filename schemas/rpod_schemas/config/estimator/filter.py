@@ -50,7 +50,7 @@ class FilterConfig(Config):
     acceleration_density_m2_s3: Positive = 2e-3
     """Spectral density of the white acceleration of the target's centre of mass, each axis, m2/s3. Raise it
     if the chaser manoeuvres hard, so that the estimates follow. Lower it for smoother estimates of a slow
-    target. Where a believed pose of a slow sensor needs it, the filter raises it for a while by itself, until
+    target. Where believed poses show larger accelerations, the filter raises it for a while by itself, until
     the velocity is as uncertain after a step as ``initial_velocity_sigma_m_s`` says."""
     angular_acceleration_density_rad2_s3: Positive = 1e-4
     """Spectral density of the white angular acceleration, each axis, rad2/s3. Raise it for targets that

@@ -1,17 +1,18 @@
-"""A target that accelerates by more than the filter expects: which accelerations explain a refused pose.
+"""A target that accelerates by more than the filter expects: which accelerations explain its poses.
 
-The filter's process noise is that of white accelerations with the configured densities. A pose that the gate
-refuses although its frame alone proves it means that the densities were too small for the time since the last
-measurement. They are multiplied by the least factors with which the innovation is as large as expected. The
-factors are halved at each accepted measurement after that, and raised again where its innovation is larger
-than expected (adjustable level of process noise: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 2001, section 11.2). At most, the twist becomes as uncertain in the
-step as where a track begins, or as the accelerations of a mission make it since they began. A pose that even
-this does not explain is wrong, or moves by more than the mission allows.
+The filter's process noise is that of white accelerations with the configured densities. There are two signs
+that the densities are too small for a motion: the gate refuses a pose although its frame alone proves it, or
+the innovations of accepted poses agree with each other (``followed``). Then the densities are multiplied by
+factors (adjustable level of process noise: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 11.2). For a refused pose they are the least with which
+the innovation is as large as expected. They are raised again where, while they last, an innovation is larger
+than expected. At most, the twist becomes as uncertain in the step as where a track begins, or as the
+accelerations of a mission make it since they began. A pose that even this does not explain is wrong, or moves
+by more than the mission allows.
 """
 
 from dataclasses import replace
-from math import inf, isfinite, radians, sqrt
+from math import exp, inf, isfinite, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,15 @@ import numpy as np
 from rpod_pose.navigation.filter import (
     ATTITUDE,
     CALM,
+    NO_INNOVATIONS,
     POSE,
     POSITION,
     FilterState,
+    Innovation,
+    InnovationSum,
     Manoeuvre,
     Update,
+    gate_of,
     predict,
 )
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
@@ -38,6 +43,11 @@ MOST_M_S2, MOST_DEG_S2 = 3.0, 60.0
 UNNOTICED_S = 0.2
 """Time in which such an acceleration may act before the gate refuses a pose, s. Physics: it moves the target
 by 60 mm and turns it by 1.2 deg, which is about what the gate lets pass."""
+LAG_S = 1.0
+"""Time in which the weight of an innovation falls by 1/e, s. Physics: a robot or a tumbling body accelerates
+in one direction for about a second or longer; the gate meets shorter pushes."""
+_SHORTEST_S = 1e-9
+"""Least time between two measurements, s: stamps are whole nanoseconds. Numerics."""
 _STEPS = 1.25 ** np.arange(100.0)
 """Factors that are tried, up to 4e9. Numerics: a quarter more variance each is 12 % of a standard
 deviation."""
@@ -76,15 +86,9 @@ def explaining(
     if step_s <= 0.0:
         return None
     least = needed(before, predicted, measured, config)
-    each_axis_s = max(step_s, UNNOTICED_S) / sqrt(3.0)
-    most_m_s = min(config.initial_velocity_sigma_m_s, MOST_M_S2 * each_axis_s)
-    most_rad_s = radians(min(config.initial_rate_sigma_deg_s, MOST_DEG_S2 * each_axis_s))
-    bound = Manoeuvre(
-        most_m_s**2 / (config.acceleration_density_m2_s3 * step_s),
-        most_rad_s**2 / (config.angular_acceleration_density_rad2_s3 * step_s),
-    )
+    bound = _bound(step_s, config)
     found = Manoeuvre(*(max(1.0, min(factor, most)) for factor, most in zip(least, bound, strict=True)))
-    return None if found == before.manoeuvre else found
+    return None if found == before.factors else found
 
 
 def needed(
@@ -96,23 +100,97 @@ def needed(
     """
     found = compared(predicted, measured, config)
     grown = _grown(before, predicted, config)
-    S, acceleration, angular = found.covariance, *before.manoeuvre
+    S, acceleration, angular = found.covariance, *before.factors
     by_angular = _least(found.difference, S, grown.by_angular, ATTITUDE)
     S = S + (by_angular - 1.0) * grown.by_angular
     by_acceleration = _least(found.difference, S, grown.by_acceleration, POSITION)
     return Manoeuvre(acceleration * by_acceleration, angular * by_angular)
 
 
-def calmed(state: FilterState) -> FilterState:
-    """Return a state after an accepted measurement: the factors are halved, to 1 at least."""
-    if state.manoeuvre == CALM:
+def followed(
+    before: FilterState, found: Update, measured: PoseMeasurement, config: FilterConfig
+) -> FilterState:
+    """Return the state after an accepted pose, with the factors that follow from it.
+
+    Those of a refused pose are halved. The innovations of a filter that keeps up with the target are
+    independent of each other. Where their sum is beyond the gate, the estimate lags behind the target within
+    the gate of each pose. The factor of a lag is then multiplied by the sum's normalised square over the
+    expected one, and the sum begins anew. Otherwise it falls to 1: it is halved too, but not faster than its
+    logarithm falls in ``LAG_S``.
+
+    Args:
+        before: the state after the measurement before.
+        found: the update.
+        measured: the pose; if its frame does not prove it, it raises no factor.
+        config: the filter's configuration.
+    """
+    state = found.state
+    step_s = max((state.stamp_ns - before.stamp_ns) / NANOSECONDS, _SHORTEST_S)
+    keep, bound = exp(-step_s / LAG_S), _bound(step_s, config)
+    state = replace(
+        state,
+        manoeuvre=Manoeuvre(*(max(1.0, 0.5 * factor) for factor in state.manoeuvre)),
+        lag=Manoeuvre(*(max(1.0, 0.5 * factor, keep * factor**keep) for factor in state.lag)),
+    )
+    if not measured.alone:
         return state
-    return replace(state, manoeuvre=Manoeuvre(*(max(1.0, 0.5 * factor) for factor in state.manoeuvre)))
+    sums, factors = list(state.sums), list(state.lag)
+    for index, part in enumerate((POSITION, ATTITUDE)):
+        sums[index] = _added(before.sums[index], found.innovation, part, keep)
+        if excess := _excess(sums[index], found.innovation.lasting[part, part], config):
+            sums[index] = NO_INNOVATIONS
+            factors[index] = max(1.0, min(before.factors[index] * excess, bound[index]))
+    return replace(state, sums=(sums[0], sums[1]), lag=Manoeuvre(*factors))
+
+
+def _added(before: InnovationSum, innovation: Innovation, part: slice, keep: float) -> InnovationSum:
+    """Return a sum, whose innovations keep a share of their weight, with those of one more pose."""
+    off, covariance = innovation.difference[part], innovation.covariance[part, part]
+    return InnovationSum(
+        keep * before.difference + off,
+        keep**2 * before.covariance + covariance,
+        keep**2 * before.squares + _square(off, covariance),
+        keep * before.weights + 1.0,
+        keep**2 * before.squared_weights + 1.0,
+    )
+
+
+def _excess(found: InnovationSum, lasting: FloatArray, config: FilterConfig) -> float:
+    """Return the normalised square of a sum over the expected one; 0 if it is within the gate.
+
+    Errors that last are in all innovations of the sum, as far as they change. Poses that are noisier than
+    they state do not count as a lag either: where the innovations' own squares are larger than expected, so
+    may be the sum's.
+
+    Args:
+        found: the sum.
+        lasting: covariance of the errors that last, shape (3, 3).
+        config: the filter's configuration.
+    """
+    noisier = max(1.0, found.squares / (_EXPECTED * found.squared_weights))
+    square = _square(found.difference, noisier * found.covariance + found.weights**2 * lasting)
+    return square / _EXPECTED if square > gate_of(config, 3) else 0.0
+
+
+def _square(difference: FloatArray, covariance: FloatArray) -> float:
+    """Return the normalised square of a part of an innovation, or of a sum of them."""
+    return float(difference @ np.linalg.solve(covariance, difference))
+
+
+def _bound(step_s: float, config: FilterConfig) -> Manoeuvre:
+    """Return the greatest factors in a step, s, with which the twist is as uncertain as a mission allows."""
+    each_axis_s = max(step_s, UNNOTICED_S) / sqrt(3.0)
+    most_m_s = min(config.initial_velocity_sigma_m_s, MOST_M_S2 * each_axis_s)
+    most_rad_s = radians(min(config.initial_rate_sigma_deg_s, MOST_DEG_S2 * each_axis_s))
+    return Manoeuvre(
+        most_m_s**2 / (config.acceleration_density_m2_s3 * step_s),
+        most_rad_s**2 / (config.angular_acceleration_density_rad2_s3 * step_s),
+    )
 
 
 def _grown(before: FilterState, predicted: FilterState, config: FilterConfig) -> _Grown:
     """Return what a doubling of each factor adds to the covariance of the predicted pose."""
-    acceleration, angular = before.manoeuvre
+    acceleration, angular = before.factors
 
     def added(manoeuvre: Manoeuvre) -> FloatArray:
         moved = predict(replace(before, manoeuvre=manoeuvre), predicted.stamp_ns, config)
@@ -128,7 +206,6 @@ def _least(difference: FloatArray, S: FloatArray, grown: FloatArray, part: slice
     """Return the least factor with which a part of an innovation is as large as expected; inf if none is."""
     off = difference[part]
     for factor in _STEPS:
-        covariance = (S + (factor - 1.0) * grown)[part, part]
-        if float(off @ np.linalg.solve(covariance, off)) <= _EXPECTED:
+        if _square(off, (S + (factor - 1.0) * grown)[part, part]) <= _EXPECTED:
             return float(factor)
     return inf

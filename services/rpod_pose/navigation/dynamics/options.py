@@ -64,9 +64,9 @@ def evidence_of(state: FilterState) -> dict[str, float]:
     While the target moves by more than the filter expects, the factors on the densities of accelerations too.
     """
     places, found = state.places(), {}
-    if state.manoeuvre != CALM:
-        found["acceleration_factor"] = state.manoeuvre.acceleration
-        found["angular_acceleration_factor"] = state.manoeuvre.angular
+    if (factors := state.factors) != CALM:
+        found["acceleration_factor"] = factors.acceleration
+        found["angular_acceleration_factor"] = factors.angular
     imu = state.model.chaser if isinstance(state.model, FreeMotion) else None
     for block in state.blocks:
         if block.name in STATES:

@@ -48,6 +48,9 @@ class Innovation(NamedTuple):
     """Covariance of the difference, shape (6, 6)."""
     noise: FloatArray
     """Part of it that is the measurement's own noise, shape (6, 6)."""
+    lasting: FloatArray
+    """Covariance of the errors that the measurement shares with others by the states of blocks, shape
+    (6, 6)."""
     H: FloatArray
     """Derivatives of the measurement by the states, shape (6, 12 + n)."""
     cross: FloatArray
@@ -80,10 +83,11 @@ def innovation_of(
     for block, place, by in moving:
         H[:, place], cross = by, cross + by @ P[place]
         difference = difference - by @ block.value
-    predicted = cross[:, POSE]
+    predicted, lasting = cross[:, POSE], np.zeros((6, 6))
     for _, place, by in moving:
         predicted = predicted + cross[:, place] @ by.T
-    return Innovation(difference, predicted + noise, noise, H, cross)
+        lasting += by @ P[place, place] @ by.T
+    return Innovation(difference, predicted + noise, noise, lasting, H, cross)
 
 
 def grown(state: FilterState, blocks: Sequence[Block]) -> FilterState:
@@ -143,7 +147,7 @@ def update(
         white=white,
         since_s=since_s,
     )
-    innovation, S, noise, H, cross = found
+    innovation, S, noise, _, H, cross = found
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
         return Update(state, float("nan"), accepted=False, innovation=found)
 
@@ -179,7 +183,12 @@ def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) 
 
 def gate_nis(state: FilterState, config: FilterConfig) -> float:
     """Return the largest accepted normalised innovation squared, for as many directions as are observed."""
-    return _gate(config.tuning.gate_nis, state.alike.dof)
+    return gate_of(config, state.alike.dof)
+
+
+def gate_of(config: FilterConfig, dof: int) -> float:
+    """Return the gate of a normalised square of as many directions."""
+    return _gate(config.tuning.gate_nis, dof)
 
 
 def measurement_noise(covariance: FloatArray, config: FilterConfig, since_s: float = inf) -> FloatArray:

@@ -49,7 +49,7 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     if stamp_ns == state.stamp_ns:
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
-    moved, F, noise, after = (state.model or constant_twist)(state, step_s, _raised(config, state.manoeuvre))
+    moved, F, noise, after = (state.model or constant_twist)(state, step_s, _raised(config, state.factors))
     covariance = F @ state.covariance @ F.T + noise
     if after is not None:
         covariance = after @ covariance @ after.T

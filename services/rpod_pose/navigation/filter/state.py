@@ -56,6 +56,25 @@ CALM = Manoeuvre(1.0, 1.0)
 """The target moves as the configuration expects."""
 
 
+class InnovationSum(NamedTuple):
+    """Sum of the innovations of one part of accepted poses, in which older ones count less."""
+
+    difference: FloatArray
+    """Sum of the differences, shape (3,)."""
+    covariance: FloatArray
+    """Its covariance if the innovations are independent, shape (3, 3)."""
+    squares: float
+    """Sum of their normalised squares."""
+    weights: float
+    """Sum of the weights."""
+    squared_weights: float
+    """Sum of the squared weights, which are those of ``covariance`` and ``squares``."""
+
+
+NO_INNOVATIONS = InnovationSum(np.zeros(3), np.zeros((3, 3)), 0.0, 0.0, 0.0)
+"""The sum of none."""
+
+
 @dataclass(frozen=True, eq=False)
 class FilterState:
     """State of the filter at one time."""
@@ -78,12 +97,21 @@ class FilterState:
     model: MotionModel | None = None
     """Model of the motion between measurements; None for constant velocity and rate."""
     manoeuvre: Manoeuvre = CALM
-    """Factor by which the densities of accelerations are raised."""
+    """Factors by which the densities are raised since the gate has refused a pose that its frame proves."""
+    lag: Manoeuvre = CALM
+    """Factors by which they are raised because the estimate lags behind the target."""
+    sums: tuple[InnovationSum, InnovationSum] = (NO_INNOVATIONS, NO_INNOVATIONS)
+    """The sums of position and attitude, which show whether it does."""
 
     @property
     def size(self) -> int:
         """Number of states, 12 + n."""
         return len(self.covariance)
+
+    @property
+    def factors(self) -> Manoeuvre:
+        """Factors by which the densities of accelerations are raised."""
+        return Manoeuvre(*map(max, self.manoeuvre, self.lag))
 
     def places(self) -> dict[str, slice]:
         """Return the places of the blocks' states in the covariance, by the block's name."""

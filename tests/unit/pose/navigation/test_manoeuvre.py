@@ -63,6 +63,25 @@ def test_the_filter_is_calm_again_after_the_manoeuvre():
     assert made.state.history.state.manoeuvre == CALM
 
 
+@pytest.mark.parametrize("rate_hz", [15.0, 45.0])
+def test_a_fast_sensor_does_not_lag_behind_a_target_that_sways(rate_hz):
+    """Each innovation is within the gate, but they agree with each other."""
+    made, rng, normalised, factors = rig(pose=swaying(START_S)), np.random.default_rng(5), [], []
+    for time_s in START_S + np.arange(0.0, 10.0, 1.0 / rate_hz):
+        pose = swaying(time_s, amplitude_deg=8.0, period_s=9.0)
+        output = made.see(seen(pose, time_s, rng))
+        assert output.status.accepted, output.status.reason
+        if time_s > START_S + 1.0 and output.odometry is not None:
+            turn_rad, shift_m = pose_error(output.odometry.pose, pose)
+            error = np.concatenate([shift_m, turn_rad])
+            normalised.append(error @ np.linalg.solve(output.odometry.pose_covariance, error))
+            factors.append(made.state.history.state.factors)
+    assert np.mean(normalised) < 6.0
+    assert max(factor.angular for factor in factors) > 3.0
+    assert max(factor.acceleration for factor in factors) < 3.0
+    assert factors[-1].angular < 30.0
+
+
 def test_a_pose_that_no_allowed_acceleration_explains_is_refused_with_the_setting_to_change():
     made = tracking(rate_hz=1.0, until_s=START_S + 5.0)
     output = made.see(turned(START_S + 6.0, 19.0))
