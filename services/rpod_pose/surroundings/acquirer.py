@@ -18,7 +18,7 @@ from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Label, RangeImage
 from rpod_pose.surroundings.tracker import MARGINS, NARROW, RIVAL, VISIBLE, TrackerAmongThings
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Source
+from rpod_schemas.types import BeliefLevel, Source
 
 LEAST_VISIBLE_FIRST = 0.75
 """Least share of the target that must be visible for a track to begin. Hand: details that are hidden do not
@@ -73,15 +73,16 @@ class AcquirerAmongThings(Generic[FrameT]):
         """Return the acquisition near a pose, or anywhere.
 
         A frame that shows little more than a target would fill is first taken for the target alone. Where
-        this fails, a thing may touch the target: an arm before a black curtain. A part of it must lie beyond
-        the target's reach, since a wrong pose leaves a part of the target itself.
+        it contradicts every pose, a thing may touch the target: an arm before a black curtain. A part of it
+        must lie beyond the target's reach, since a wrong pose leaves a part of the target itself.
         """
         image = self._tracker.cluttered(measurement)
         if image is not None:
             return self._found(measurement, image, pose)
         alone = self._in_frame(measurement, pose)
         image = self._tracker.frames.image(measurement, fine=False)
-        if alone.outcome is not Outcome.FAILED or image is None:
+        contradicted = alone.outcome is Outcome.FAILED and alone.belief.level is BeliefLevel.CONTRADICTED
+        if image is None or not contradicted:
             return alone
         among = self._found(measurement, image, pose)
         if among.outcome is Outcome.FAILED:

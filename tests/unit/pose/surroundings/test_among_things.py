@@ -125,6 +125,15 @@ def test_a_stub_within_the_targets_reach_is_no_other_thing_and_its_remedy_is_tol
     assert not tracker.track(with_arm, AHEAD).continues_track
 
 
+def test_a_frame_that_is_doubtful_and_contradicts_no_pose_is_not_searched_for_an_arm(monkeypatch):
+    """An arm contradicts the target alone; a search among other things takes many times as long."""
+    acquirer = methods().acquirer._acquirer
+    doubtful = Acquisition(Registration.none(Source.NONE, "only half of the edges are in their place"))
+    monkeypatch.setattr(acquirer, "_in_frame", lambda *_: doubtful)
+    monkeypatch.setattr(acquirer, "_found", lambda *_: pytest.fail("searched among other things"))
+    assert acquirer.acquire(seen((ARM,), AHEAD)) is doubtful
+
+
 def test_an_arm_without_the_target_is_neither_found_nor_tracked():
     arm = ARM.model_copy(update={"fixed_to": "chaser", "pose": AHEAD * ARM.pose})
     alone = seen((arm,), make_pose(translation_m=(0.0, 0.0, -9.0)))
