@@ -62,7 +62,7 @@ layers: $(INSTALLED) ## Import layers
 docs: $(READY) ## The site in build/site/html, its notebooks run, and every command and code block of the documents
 	@$(MAKE) --no-print-directory -j2 --output-sync=target site document-tests
 
-site: $(READY)
+site: $(READY) ## The site alone, in build/site/html: about a minute
 	@PYTHONPATH=deploy/site $(BIN)/python -m rpod_site
 
 document-tests: $(READY)

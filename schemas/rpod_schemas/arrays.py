@@ -26,6 +26,8 @@ def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], 
             if array.ndim == len(shape) == 1:
                 raise ValueError(f"has {array.size} values; it needs {shape[0]}")
             wanted = " x ".join("N" if size is None else str(size) for size in shape)
+            if array.ndim == 0:
+                raise ValueError(f"is one number; it needs {wanted} numbers, in brackets")
             raise ValueError(f"has shape {array.shape}, needs {wanted}")
         if finite and not np.isfinite(array).all():
             raise ValueError("holds a value that is not finite")

@@ -38,7 +38,7 @@ class UnknownNameError(SchemaError):
         listed = ", ".join(known) or "none (rpod itself provides some: install it again, as make setup does)"
         super().__init__(
             f"no installed package provides {name!r}{guess} in {group}, known are {listed}; "
-            "install the package that provides it into this environment"
+            f"correct the name, or install a package that registers it under {group}"
         )
 
 

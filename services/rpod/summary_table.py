@@ -117,6 +117,11 @@ def _message_row(summary: Summary) -> tuple[str, str]:
     published = sum(frame.published for frame in summary.frames.values())
     unreadable = sum(sum(reasons.values()) for reasons in summary.unreadable.values())
     told = f", {unreadable} cannot be read (the report says why)" * bool(unreadable)
+    completeness = summary.completeness
+    if completeness is not None and completeness.complete is False:
+        reason, *others = completeness.reasons or ("the report says why",)
+        more = f" and {len(others)} more (the report lists them)" * bool(others)
+        told += f"; the log is not complete: {reason}{more}"
     return "messages", f"{published} published, {missed} missed by the log{told}"
 
 

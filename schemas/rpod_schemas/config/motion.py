@@ -63,6 +63,10 @@ class ApproachConfig(Config):
             )
         if np.array_equal(self.start_m, self.end_m):
             raise ValueError("start_m equals end_m: an approach needs two positions")
+        given = self.model_fields_set & {"start_m", "end_m"}
+        if len(given) == 1:
+            missing = "end_m" if "start_m" in given else "start_m"
+            raise ValueError(f"{missing} is missing: an approach needs both, or neither for 7 to 2 m")
         return self
 
 

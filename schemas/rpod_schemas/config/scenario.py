@@ -91,7 +91,9 @@ class Scenario(Config):
     def _estimator_hears_the_sensors(self) -> Self:
         emulated = {(sensor.kind, sensor.name) for sensor in self.sensors}
         if len({name for _, name in emulated}) < len(self.sensors):
-            raise ValueError("sensors: two have the same name")
+            names = [sensor.name for sensor in self.sensors]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"sensors: two have the name {twice!r}; give each a 'name' of its own")
         for fault in self.faults:
             if fault.sensor not in {None, *(name for _, name in emulated)}:
                 raise ValueError(

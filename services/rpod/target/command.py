@@ -7,6 +7,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -34,9 +35,15 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
     console = Console(highlight=False)
     for text in made.told:
         console.print(f"{text}", soft_wrap=True, markup=False)
+    console.print(f"size     {_sides(made.target)} m: is this the satellite's?", soft_wrap=True, markup=False)
     console.print(f"target   {made.file}", soft_wrap=True, markup=False)
     console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True, markup=False)
     return EXIT_OK
+
+
+def _sides(target: Target) -> str:
+    """Return the lengths of a target's sides along its axes, m."""
+    return " x ".join(f"{side:.4g}" for side in np.ptp(target.triangles_m.reshape(-1, 3), axis=0))
 
 
 def _asked(cad: Path, options: DraftOptions, *, as_json: bool) -> DraftOptions:
@@ -101,7 +108,7 @@ def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> T
     with tempfile.TemporaryDirectory() as folder:
         assumed = units is None and longest_side_m is None and file.suffix.lower() not in METRIC
         units = "m" if assumed else units
-        options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=True)
+        options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=not assumed)
         made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=checked_symmetries)
         told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
         return replace(made.target, source=str(file), repairs=told)

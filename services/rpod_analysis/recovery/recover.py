@@ -99,10 +99,15 @@ class _Account:
         self.sequence, self.after_damage = message.sequence, False
 
     def cut(self, end_ns: int | None) -> int:
-        """Return the number of further messages up to a time, estimated from the rate."""
-        if end_ns is None or self.had < 2 or self.last_ns == self.first_ns:
+        """Return the number of further messages up to a time, estimated from the rate.
+
+        Messages that came only at the beginning, such as those of a service's start, have no rate: they ended
+        longer ago than they lasted.
+        """
+        span_ns = self.last_ns - self.first_ns
+        if end_ns is None or self.had < 2 or not 0 < end_ns - self.last_ns <= span_ns:
             return 0
-        return max(int((self.had - 1) * (end_ns - self.last_ns) / (self.last_ns - self.first_ns)), 0)
+        return int((self.had - 1) * (end_ns - self.last_ns) / span_ns)
 
 
 @dataclass

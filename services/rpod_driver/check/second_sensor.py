@@ -9,6 +9,7 @@ import numpy as np
 
 from rpod_driver.check.geometry import (
     MOST_DISTANCE,
+    MOST_IMPROVEMENT,
     SIGMAS,
     UNDETERMINED,
     Fitted,
@@ -62,13 +63,13 @@ def _checked(fit: Fitted, poses: list[Odometry], others: str) -> CheckResult:
     late_s, sigma_s = float(fit.values[0]), float(fit.sigmas[0])
     figures |= {"offset_s": late_s, "offset_sigma_s": sigma_s}
     text = f"{text}, against {others}; motion fits {1e3 * late_s:+.1f} ms after the stamps"
-    if distance > MOST_DISTANCE:
+    if distance > MOST_DISTANCE and fit.improvement < MOST_IMPROVEMENT:
         return fail(_LINE, f"{text}: this mount, or that one; only truth shows which", "mount_off", **figures)
     if abs(late_s) > _CLOCKS_S + SIGMAS * sigma_s:
         fault = "clock_behind" if late_s > 0.0 else "clock_ahead"
         text = f"{text}, standard deviation {1e3 * sigma_s:.1f} ms: these stamps, or those of {others}"
         return fail(_LINE, text, fault, **figures)
-    if mount_is_undetermined(fit):
+    if distance > MOST_DISTANCE or mount_is_undetermined(fit):
         return unchecked(_LINE, f"{text}: the motion does not show more", **figures)
     return ok(_LINE, text, **figures)
 

@@ -173,7 +173,8 @@ def drift(seen: Observations) -> CheckResult:
     )
     x_s, y_s = arrivals_s[least], ages_s[least]
     if arrivals_s[-1] < _DRIFT_S or len(least) < _LEAST_STRETCHES:
-        return unchecked(line, f"watched for {arrivals_s[-1]:.0f} s; watch for longer")
+        told = f"the frames span {arrivals_s[-1]:.1f} s, at least {_DRIFT_S:g} s are needed"
+        return unchecked(line, f"{told}; watch for longer: --duration {_DRIFT_S + 2.0:g}")
     slope, first = np.polyfit(x_s, y_s, 1)
     scatter_s = float(np.std(y_s - slope * x_s - first, ddof=2))
     sigma_ppm = 1e6 * scatter_s / (float(np.std(x_s)) * np.sqrt(len(least)))

@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
-from rpod_driver.check.geometry import Fitted, fitted
+from rpod_driver.check.geometry import Fitted, checked_mount, fitted
 from rpod_driver.check.sightings import sightings_of
 from rpod_driver.host import error_line
 from rpod_runtime.sensors import CameraPublisher
@@ -119,6 +119,14 @@ def test_the_mount_of_the_second_sensor_counts_as_well():
     named = at(ideal_camera(estimates=estimates), "mount_second")
     assert named.faults == ("mount_off",)
     assert named.figures["turned_deg"] == pytest.approx(5.0, abs=0.5)
+
+
+def test_a_mount_that_the_points_fit_no_better_than_the_published_one_is_not_called_off():
+    """The ranges of a camera wiggle, which tilts a target that is seen from one side only."""
+    values = np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.1, 0.0, 0.0])
+    tilted = Fitted(values, np.diag(np.full(8, 0.01) ** 2), residual_m=0.01, improvement=1.0)
+    assert checked_mount(tilted).level is Level.UNCHECKED
+    assert checked_mount(replace(tilted, improvement=0.4)).faults == ("mount_off",)
 
 
 def test_an_estimate_that_uses_the_sensor_itself_does_not_judge_its_mount():
@@ -218,8 +226,10 @@ def test_beside_a_second_sensor_an_offset_of_the_clocks_is_named():
 
 def test_values_that_no_calibration_can_have_are_not_judged():
     late_s = np.array([1.2, 0.0, 0.3, 0.0, 0.0, 0.1, 0.0, 0.0])  # of a loaded machine, 9 s of a steady turn
-    assert Fitted(late_s, np.eye(8), 0.01).is_implausible
-    assert not Fitted(np.array([0.01, 0.1, 0.08, 0.0, 0.0, 0.05, 0.0, 0.0]), np.eye(8), 0.01).is_implausible
+    assert Fitted(late_s, np.eye(8), 0.01, 1.0).is_implausible
+    assert not Fitted(
+        np.array([0.01, 0.1, 0.08, 0.0, 0.0, 0.05, 0.0, 0.0]), np.eye(8), 0.01, 1.0
+    ).is_implausible
 
 
 def test_a_sensor_that_is_not_there_gives_one_failure_and_no_line_in_order():

@@ -47,7 +47,7 @@ LAG_S = 1.0
 """Time in which the weight of an innovation falls by 1/e, s. Physics: a robot or a tumbling body accelerates
 in one direction for about a second or longer; the gate meets shorter pushes."""
 _SHORTEST_S = 1e-9
-"""Least time between two measurements, s: stamps are whole nanoseconds. Numerics."""
+"""Least time between two measurements, s. Numerics: stamps are whole nanoseconds."""
 _STEPS = 1.25 ** np.arange(100.0)
 """Factors that are tried, up to 4e9. Numerics: a quarter more variance each is 12 % of a standard
 deviation."""

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Chunk
+from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from synthetic_log import SyntheticRun
@@ -15,6 +15,7 @@ from synthetic_log import SyntheticRun
 from rpod_analysis import AnalysisError, open_log, read_run
 from rpod_analysis.errors import NothingRecoveredError
 from rpod_analysis.recovery import recover
+from rpod_analysis.recovery.recover import _Account
 from rpod_schemas.logs import RECOVERY, Recovery
 
 TOPICS = ("/truth/odometry", "/estimate/odometry", "/pmd/depth/image_raw")
@@ -254,3 +255,12 @@ def test_the_test_log_has_many_chunks():
     assert sum(isinstance(r, Chunk) for r in StreamReader(BytesIO(data), emit_chunks=True).records) == len(
         chunks
     )
+
+
+@pytest.mark.parametrize(("last_s", "lost"), [(8.0, 25), (0.5, 0)])
+def test_the_end_of_a_cut_log_is_estimated_from_topics_that_went_on_until_then(last_s, lost):
+    """Messages of a service's start, such as parameter events, have no rate."""
+    account = _Account()
+    for number, time_s in enumerate(np.linspace(0.0, last_s, 101)):
+        account.take(Message(1, round(time_s * 1e9), b"", 0, number))
+    assert account.cut(10_000_000_000) == lost
