@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from configparser import ConfigParser
 from contextlib import ExitStack
 from importlib import import_module
@@ -11,9 +12,11 @@ from importlib import import_module
 import pytest
 from ifm_recording import PlayedSdk
 
+from rpod_driver.registered import Adapter
 from rpod_driver.scaffold import TEMPLATES, ScaffoldError, scaffold
 from rpod_schemas.config.base import load
 from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.registry import resolve
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +60,21 @@ def test_its_configuration_and_its_unit_can_be_read(template, tmp_path):
     assert unit["Service"]["ExecStart"].endswith("-m my_camera /etc/rpod/my_camera.yaml")
     written = [file for file in folder.rglob("*") if file.is_file()]
     assert not [file for file in written if "${" in file.read_text() or "$" in file.name]
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_it_can_be_started_by_its_name(template, tmp_path, monkeypatch):
+    name = f"camera_of_{template}"
+    folder = scaffold(template, name, tmp_path)
+    entries = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["entry-points"]
+    monkeypatch.syspath_prepend(str(folder / "src"))
+    adapter = resolve(entries["rpod.drivers"][name])
+    assert isinstance(adapter, Adapter)
+    assert adapter.name == name
+    config = load(adapter.config, folder / "driver.yaml")
+    driver = adapter.open(config)
+    driver.connect()  # to the simulated device
+    driver.close()
 
 
 @pytest.mark.parametrize(
