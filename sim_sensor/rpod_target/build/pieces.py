@@ -180,6 +180,7 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
             known = ", ".join(repr(name) for name in file.objects)
             reason = f"{one.file} has no object {one.object!r}; it has {known}"
             raise TargetError(source, f"parts.{number}.object", reason)
+        _check_materials(file, number, one, source=source)
         chosen = True if one.object is None else file.triangle_object == file.objects.index(one.object)
         part[chosen] = number
     used = np.flatnonzero(part >= 0)
@@ -198,6 +199,16 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
         tuple(_material_names(file, origin, part, parts)),
         told=tuple(f"{PurePath(first.file).name}: {text}" for text in told),
     )
+
+
+def _check_materials(file: MeshFile, number: int, part: MeshParameters, *, source: str) -> None:
+    """Raise a TargetError if a part names a material that the mesh file does not have."""
+    known = [material.name for material in file.materials]
+    unknown = next((name for name in part.file_materials if name not in known), None)
+    if unknown is not None:
+        listed = ", ".join(map(repr, known)) or "none"
+        reason = f"{part.file} has no material {unknown!r}; it has {listed}"
+        raise TargetError(source, f"parts.{number}.file_materials", reason)
 
 
 def _piece(mesh: RepairedMesh, part: Indices, materials: tuple[str, ...], *, told: tuple[str, ...]) -> Piece:

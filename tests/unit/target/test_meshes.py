@@ -265,6 +265,15 @@ def test_an_unknown_object_is_refused_with_the_known_ones(build: Build, tmp_path
         build(part)
 
 
+def test_an_unknown_material_of_the_file_is_refused_with_the_known_ones(build: Build, tmp_path: Path) -> None:
+    (tmp_path / "two.obj").write_text(OBJ)
+    part = {"shape": "mesh", "file": "two.obj", "metres_per_unit": 1.0, "file_materials": {"foils": "foil"}}
+    with pytest.raises(
+        TargetError, match=r"parts\.0\.file_materials: two\.obj has no material 'foils'; .*'foil'"
+    ):
+        build(part)
+
+
 STL = b"solid made by a CAD program".ljust(80) + (4).to_bytes(4, "little") + bytes(4 * 50)
 CLOUD = (
     b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
