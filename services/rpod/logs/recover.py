@@ -31,7 +31,7 @@ def _print(recovery: Recovery) -> None:
     table = Table(title=f"{recovery.messages} messages recovered", title_justify="left")
     table.add_column("topic", no_wrap=True)
     table.add_column("messages", justify="right")
-    table.add_column("lost, estimated", justify="right")
+    table.add_column("lost before the end, estimated", justify="right")
     table.add_column("last arrived, UTC", no_wrap=True)
     for name, topic in recovery.topics.items():
         table.add_row(name, str(topic.messages), str(topic.lost or "-"), _time(topic.last_ns))

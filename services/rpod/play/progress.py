@@ -90,6 +90,12 @@ class Progress:
         else:
             self._console.print(f"{text} ...", style="dim")
 
+    def note(self, text: str) -> None:
+        """Print a message on a line that stays; a message is printed once."""
+        if text not in self._printed:
+            self._printed.add(text)
+            self._console.print(text, soft_wrap=True, highlight=False)
+
     def watch(self, node: Node, scenario: Scenario, *, lockstep: bool = False) -> None:
         """Subscribe to the messages of a run; in lockstep, rates by the wall clock are not the sensors'."""
         self._scenario, self._alike = scenario, load_equivalence(scenario.target)
@@ -126,17 +132,11 @@ class Progress:
         else:
             for diagnostic in read_diagnostics(message):
                 if diagnostic.name == _VIEW:
-                    self._print_view(diagnostic.message)
+                    self.note(f"view: {diagnostic.message}")  # such as the address of its page
                 self._seen.troubles.pop(diagnostic.name, None)
                 if diagnostic.level != Health.OK:
                     self._seen.troubles[diagnostic.name] = diagnostic
                 self._take_counters(diagnostic.stamp_ns, diagnostic.values)
-
-    def _print_view(self, message: str) -> None:
-        """Print the view's message, such as the address of its page, on a line that stays."""
-        if message not in self._printed:
-            self._printed.add(message)
-            self._console.print(f"view: {message}", soft_wrap=True, highlight=False)
 
     def _take_transform(self, stamp_ns: int, child: str, pose: RigidTransform) -> None:
         seen = self._seen

@@ -116,6 +116,7 @@ def play(
         facility = secured(facility, pki.absolute(), rules=folder.directory / "config" / "rules.json")
     with _interruptible() as interrupted, Supervisor(folder.directory, progress.say) as services:
         services.start("router", facility.router)
+        progress.note(f"bus: {facility.router.listen}, while the run lasts; files: {folder.directory}")
         if facility.proxy is not None:
             services.start("proxy", facility.proxy)
         _start_listeners_first(services, facility)

@@ -191,7 +191,9 @@ class StreamedRun:
             T_truth=T_truth,
             errors=errors,
             statuses=statuses,
-            integrity=Integrities.of([row for minute in minutes for row in found.integrity.rows(minute)]),
+            integrity=Integrities.of(
+                [row for minute in minutes for row in found.integrity.rows(minute)], self.start_ns
+            ),
             sensors=self.sensors,
             frames={name: _sensor_frames(name, frame_rows) for name in self.sensors},
             account=self.account,

@@ -39,7 +39,7 @@ class Found:
     statuses: RowStore = field(default_factory=RowStore)
     """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason."""
     integrity: RowStore = field(default_factory=RowStore)
-    """Rows of stamp, state, levels of attitude and position, and their alert limits."""
+    """Rows of stamp, state, levels of attitude and position, their alert limits, and reason."""
     frames: RowStore = field(default_factory=RowStore)
     """Rows of stamp, sensor and time of arrival."""
     parents: set[str] = field(default_factory=set)
@@ -113,7 +113,7 @@ class Reader:
         self.found.integrity.add(
             (
                 told.stamp_ns, int(told.state), told.attitude_level_deg, told.position_level_m,
-                told.attitude_limit_deg, told.position_limit_m,
+                told.attitude_limit_deg, told.position_limit_m, told.reason,
             )
         )  # fmt: skip
 

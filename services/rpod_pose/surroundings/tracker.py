@@ -26,8 +26,8 @@ BIAS_SIGMAS = 2.0
 """Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
 before a pose tells this error. Physics: one in 22 normal errors is larger."""
 RIVAL = 0.5
-"""Least number of rays on another surface for it to count beside the target, over that on the target's one.
-Hand: a smaller surface is a part of the same object."""
+"""Least number of rays on one of two surfaces for it to count beside the other one, over the number on that
+one. Hand: a smaller surface is a part of the same object."""
 LEAST_VISIBLE = 0.2
 """Least share of the target that other things must leave visible. Hand: a track can go on with little;
 ``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""

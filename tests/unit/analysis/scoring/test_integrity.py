@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rpod_analysis.scoring.integrity import Integrities, IntegrityTotals
+from rpod_analysis.scoring.integrity import Alert, Integrities, IntegrityTotals
 from rpod_analysis.scoring.score import Errors
 from rpod_schemas.types import IntegrityState
 
@@ -18,7 +18,9 @@ def errors(degrees):
 
 
 def told(*rows):
-    return Integrities.of([(stamp, int(state), level, 0.01, 2.0, 0.1) for stamp, state, level in rows])
+    return Integrities.of(
+        [(stamp, int(state), level, 0.01, 2.0, 0.1, f"at {stamp}") for stamp, state, level in rows], 1
+    )
 
 
 def test_misleading_estimates_are_those_above_their_level_in_a_usable_state():
@@ -38,6 +40,18 @@ def test_an_alert_over_two_minutes_counts_once_and_misleading_is_unknown_without
         totals.take(minute, np.array([9]), errors([NAN]))
     found = totals.summary()
     assert (found.misleading, found.alerts, found.availability) == (None, 1, 1.0)
+    assert totals.alerts == [Alert(pytest.approx(1e-9), pytest.approx(3e-9), "at 2")]
+
+
+def test_only_the_first_alerts_are_kept_and_the_last_one_may_not_end():
+    totals = IntegrityTotals()
+    states = [(stamp, ALERT if stamp % 2 else NOMINAL, 1.0) for stamp in range(400)]
+    totals.take(told(*states), np.array([999]), errors([NAN]))
+    assert (totals.summary().alerts, len(totals.alerts)) == (200, 100)
+    assert totals.alerts[-1].end_s == pytest.approx(199e-9)
+    open_end = IntegrityTotals()
+    open_end.take(told((1, NOMINAL, 1.0), (2, ALERT, 1.0)), np.array([999]), errors([NAN]))
+    assert open_end.alerts[0].end_s is None
 
 
 def test_a_log_without_integrity_has_no_counts():
