@@ -40,7 +40,7 @@ class Integrities:
         stamp_ns = np.array([row[0] for row in rows], np.int64)
         return cls(
             stamp_ns,
-            (stamp_ns - start_ns) * 1e-9,
+            (stamp_ns - start_ns) * np.float64(1e-9),
             np.array([row[1] for row in rows], np.int64),
             numbers[:, :2],
             numbers[:, 2:],
