@@ -9,6 +9,11 @@ sphere, so that background, glints and unwrapped distances stay as they are. The
 the prediction; without one, from the mean phase of the image, which leaves the multiple unknown. Then the
 multiples at which the image has a possible size of the target are tried, nearest first: a wrong multiple
 scales the target by half or more, which no pose explains.
+
+A target may be longer than the unambiguous range. Then some of its parts are measured too near, and still
+inside the sphere. So the target is rendered at the prediction, and a distance is shifted if the phases of all
+frequencies are those of the rendered one. A camera of several frequencies unwraps by itself, but also has a
+greatest distance, which it does not state.
 """
 
 import math
@@ -21,7 +26,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import RayGrid
+from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
@@ -86,6 +91,8 @@ class DepthPreparation:
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
         """Return a frame unwrapped around a predicted pose and calibrated."""
         range_m = float(np.linalg.norm(T_sensor_target.translation))
+        if self._is_longer(frame, range_m):
+            frame = self._unwrapped_at(frame, T_sensor_target)
         return self._applied(frame, range_m, self.target.radius_m + _MARGIN * self._interval_m(frame))
 
     def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
@@ -100,6 +107,29 @@ class DepthPreparation:
         fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
         for distance_m in fitting_m or ranges_m[:1]:
             yield self._applied(frame, distance_m, 2.0 * self.target.radius_m)
+
+    def _is_longer(self, frame: PmdFrame, range_m: float) -> bool:
+        """Return whether wrapped parts of the target may be inside the sphere around it."""
+        known = self._frequencies(frame)
+        if self._sensor.unwrapping == "none" or not known:
+            return False
+        farthest_m, radius_m = range_m + self.target.radius_m, self.target.radius_m
+        longest_m = max(unambiguous_range_m(hertz) for hertz in known[0][1])
+        if len(known[0][1]) > 1:  # a common multiple of several lengths is at least twice the longest
+            return farthest_m > 2.0 * longest_m
+        return farthest_m > longest_m and 2.0 * (radius_m + _MARGIN * longest_m) > longest_m
+
+    def _unwrapped_at(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
+        """Return a frame whose distances are unwrapped where the target is rendered at a pose."""
+        rays = _rays_of(frame.camera)
+        if rays is None:
+            return frame  # the method reports the error of the lens
+        cosine = rays.components[2]
+        shown_m = cast(rays, self.target.triangles_m, T_sensor_target).range_m
+        with np.errstate(invalid="ignore"):
+            short_m = shown_m - frame.depth_m / cosine
+        depth_m = frame.depth_m + wraps(short_m, self._frequencies(frame)[0][1]) * cosine
+        return frame.model_copy(update={"depth_m": depth_m.astype(np.float32)})
 
     def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
         """Return the sources of the modulation frequencies with their values; the first is used."""
@@ -217,6 +247,22 @@ def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation
     return prepared
 
 
+def wraps(short_m: FloatArray, frequencies_hz: Sequence[float]) -> FloatArray:
+    """Return the lengths by which wrapped distances are too short, m, any shape; 0 for the others.
+
+    Args:
+        short_m: expected distances less the measured ones, m, any shape; not finite if unknown.
+        frequencies_hz: modulation frequencies, Hz, at least one.
+    """
+    found_m = np.zeros(short_m.shape)
+    far = np.isfinite(short_m) & (short_m > 0.0)
+    interval_m = np.array([[unambiguous_range_m(hertz)] for hertz in frequencies_hz])
+    whole_m = interval_m * np.rint(short_m[far] / interval_m)
+    fits = np.abs(short_m[far] - whole_m) <= _MARGIN * interval_m
+    found_m[far] = np.where(fits.all(axis=0), whole_m[0], 0.0)
+    return found_m
+
+
 def corrections(calibration: DepthCalibration | None) -> Float32Array:
     """Return measured minus true distance over the measured one, m, every mm from 0 to 30 m, shape (N,)."""
     if calibration is None:
@@ -256,24 +302,29 @@ def _determined(
 
 def _cosines_of(camera: Camera) -> Float32Array | None:
     """Return z-depth over radial distance of every pixel; None if the distortion cannot be inverted."""
+    rays = _rays_of(camera)
+    return None if rays is None else rays.components[2]
+
+
+def _rays_of(camera: Camera) -> RayGrid | None:
+    """Return the rays of all pixels in single precision; None if the distortion cannot be inverted."""
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-    return _cosines((camera.width, camera.height), intrinsics, tuple(camera.distortion))
+    return _rays((camera.width, camera.height), intrinsics, tuple(camera.distortion))
 
 
 @lru_cache(maxsize=8)
-def _cosines(
+def _rays(
     size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...]
-) -> Float32Array | None:
+) -> RayGrid | None:
     (width, height), (fx, fy, cx, cy) = size, intrinsics
     if any(distortion[LENS_COEFFICIENTS:]):
         return None
     lens = np.array(distortion[:LENS_COEFFICIENTS])
     camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     try:
-        cosine: Float32Array = RayGrid.pinhole(camera).components[2].astype(np.float32)
+        return RayGrid.pinhole(camera).in_single_precision()
     except DistortionError:
         return None
-    return cosine
 
 
 @kernel

@@ -18,6 +18,7 @@ from rpod_pose.pmd.depth_preparation import (
     PreparedAcquirer,
     PreparedTracker,
     calibrated,
+    wraps,
 )
 from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_schemas.config.estimator import PmdInput
@@ -165,6 +166,33 @@ def test_an_approach_from_10_m_to_5_m_is_tracked_through_the_wrap(target, hertz)
         assert np.linalg.norm(attitude_rad) < np.radians(4.0), range_m
         assert np.linalg.norm(position_m) < 0.08, range_m
         guess = make_pose(translation_m=[0.0, 0.0, -0.2]) * found.T_sensor_target
+
+
+@pytest.mark.parametrize(("yaw_deg", "range_m"), [(70.0, 9.0), (70.0, 10.0), (-70.0, 9.0)])
+def test_a_body_longer_than_the_unambiguous_range_is_tracked(yaw_deg, range_m):
+    stage = load_target("rocket-stage")
+    attitude = Rotation.from_euler("ZYX", [12.0, yaw_deg, 5.0], degrees=True)
+    pose = make_pose(rotation=attitude, translation_m=[0.1, -0.05, range_m])
+    noisy = depth_frame(stage, pose, noise_m=0.01)
+    frame = seen_by(noisy, MHZ_20)
+    assert np.count_nonzero((frame.depth_m > 3.6) & (frame.depth_m < 5.0)) > 100  # its far end, in the sphere
+    prepared = DepthPreparation(PmdInput(), stage).predicted(frame, pose)
+    np.testing.assert_allclose(prepared.depth_m, noisy.depth_m, atol=1e-4)
+    found = methods_of(PmdInput(), stage).tracker.track(frame, pose)
+    assert not found.belief.reason
+    attitude_rad, position_m = pose_error(pose, found.T_sensor_target)
+    assert np.linalg.norm(attitude_rad) < np.radians(0.2)
+    assert np.linalg.norm(position_m) < 0.01
+
+
+def test_a_distance_is_wrapped_where_all_its_phases_are_the_expected_ones():
+    first_m, second_m = unambiguous_range_m(MHZ_20), unambiguous_range_m(MHZ_30)
+    short_m = np.array([0.1, first_m + 0.1, first_m + 0.6, -first_m, 2.0 * first_m, np.nan, np.inf])
+    np.testing.assert_allclose(wraps(short_m, [MHZ_20]), [0.0, first_m, 0.0, 0.0, 2.0 * first_m, 0.0, 0.0])
+    assert abs(2.0 * first_m - 3.0 * second_m) < 0.1
+    np.testing.assert_allclose(
+        wraps(short_m, [MHZ_20, MHZ_30]), [0.0, 0.0, 0.0, 0.0, 2.0 * first_m, 0.0, 0.0]
+    )
 
 
 class Listener:
