@@ -146,11 +146,12 @@ def rig(
     found=None,
     alike=NO_SYMMETRY,
     alert=None,
+    range_m=None,
     **limits,
 ) -> Rig:
     """Return a rig whose acquirer searches and refines, or finds what it is told."""
     settings = EstimatorSettings(
-        sensors=(PmdInput() if alert is None else PmdInput(alert_limit=alert),),
+        sensors=(PmdInput(range_m=range_m, **({} if alert is None else {"alert_limit": alert})),),
         navigator=NavigatorConfig(**limits),
         filter=filter_config or FilterConfig(),
     )

@@ -56,7 +56,10 @@ class Backoff:
     def take(self, frame: SensorFrame, *, began_s: float, now_s: float) -> None:
         """Note an unsuccessful search in a frame from ``began_s`` to ``now_s``."""
         self._since_s = began_s if self._since_s is None else self._since_s
-        self._seen.append(content(frame))
+        seen = content(frame)
+        if self._seen and self._seen[-1].shape != seen.shape:  # another image size, or another kind of scan
+            self._seen.clear()
+        self._seen.append(seen)
         if now_s - self._since_s >= PATIENCE_S:
             self.pause_s = (now_s - began_s) / SHARE
             self._next_s = began_s + self.pause_s

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from threading import Event
 from typing import Any
 
-from rpod_estimator.estimator import TICK_S, Estimator
+from rpod_estimator.estimator import TICK_S, Estimator, check_reset
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.bodies import BodyInput, BodyReport
 from rpod_estimator.inputs.imu import ImuInput
@@ -82,12 +82,13 @@ def _serve(
                 subscriptions.pin(estimator.pins_setups)
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
-                if arrived is not None:
+                if arrived is not None and arrived.came_in_time:
                     for each in readings:
                         each.take_until(arrived.stamp_ns)
                     if config.in_lockstep:
                         for output in estimator.let_time_pass(arrived.stamp_ns):
                             service.publish(output)
+                if arrived is not None:
                     service.process(arrived)
                 service.publish(estimator.tick(node.clock.settled_ns()))
                 for output in estimator.unreported(node.clock.settled_ns(), live):
@@ -95,7 +96,7 @@ def _serve(
                 bodies.update()
                 subscriptions.report_health(estimator.mode)
             for arrived in subscriptions.rest():  # each frame gets a status, or is counted as dropped
-                for each in readings:
+                for each in readings if arrived.came_in_time else ():
                     each.take_until(arrived.stamp_ns)
                 service.process(arrived)
             bodies.update()
@@ -115,16 +116,20 @@ class _Service:
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._beacon = outputs, beacon
-        self._searches = searches
+        self._searches, self._reset = searches, Event()
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
+        check_reset(request)  # before anything changes
         self._subscriptions.request_reset(request)
-        self._searches.end_pauses()
+        self._reset.set()
         return self._estimator.request_reset(request)
 
     def process(self, arrived: Arrived) -> None:
         """Process a frame and publish the result."""
+        if self._reset.is_set():  # requests come from a thread of the bus
+            self._reset.clear()
+            self._searches.end_pauses()
         output = self._estimator.process(arrived)
         self.publish(output, arrived)
         self._subscriptions.health.judge(arrived, output, time.monotonic())

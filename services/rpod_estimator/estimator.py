@@ -33,7 +33,7 @@ from rpod_pose.surroundings.known import (
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.control import Accepted, ResetRequest
-from rpod_schemas.errors import ConfigurationError, Reason
+from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Integrity, Mode
@@ -41,9 +41,6 @@ from rpod_target import Target
 from rpod_target.mesh.topology import areas_m2
 
 log = logging.getLogger(__name__)
-
-_EMPTY = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED})
-"""Reasons to refuse a frame that came in time and holds no measurement: a track goes on as a prediction."""
 
 OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
 """Opens the port that makes searches, with methods and setups of the sensors, by name."""
@@ -171,10 +168,7 @@ class Estimator:
 
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""
-        if request.pose is not None and request.frame_id != CHASER:
-            raise ConfigurationError(
-                "reset", "frame_id", f"{request.frame_id!r}, but poses are taken in {CHASER!r}: transform it"
-            )
+        check_reset(request)
         self._resets.put(request)
         return Accepted()
 
@@ -275,7 +269,7 @@ class Estimator:
         self._passed_ns = max(until_ns, self._passed_ns or 0)
 
     def _rejected(self, arrived: Arrived, reason: str) -> Output:
-        if arrived.refused in _EMPTY:
+        if arrived.measurement is None and arrived.came_in_time:  # a track goes on as a prediction
             before = self._state.mode
             self._state, output = self._navigator.refuse(
                 self._state, arrived.sensor, arrived.stamp_ns, reason
@@ -295,3 +289,11 @@ class Estimator:
         if output.status.mode != before:
             reason = output.lost or output.status.reason
             log.info("%s -> %s%s", before.name, output.status.mode.name, f": {reason}" if reason else "")
+
+
+def check_reset(request: ResetRequest) -> None:
+    """Check the pose of a reset. Raises ``ConfigurationError``."""
+    if request.pose is not None and request.frame_id != CHASER:
+        raise ConfigurationError(
+            "reset", "frame_id", f"{request.frame_id!r}, but poses are taken in {CHASER!r}: transform it"
+        )

@@ -30,6 +30,8 @@ from rpod_schemas.sensors import SensorKind, sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, SensorFrame, SensorInfo
 
+_IN_TIME = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED})
+"""Reasons to refuse a frame that came in time and holds no measurement."""
 FROZEN_REPEATS = 2
 """Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
 A driver may send one frame twice."""
@@ -57,6 +59,11 @@ class Arrived:
     """What the sensor's last frames show that may be why they are refused; empty if nothing."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """Evidence in the status that a live run gave to this frame, in a replay of that run."""
+
+    @property
+    def came_in_time(self) -> bool:
+        """Whether the stamp tells the time, although the frame may hold no measurement."""
+        return self.measurement is not None or self.refused in _IN_TIME
 
     @classmethod
     def unusable(

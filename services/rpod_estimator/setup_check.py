@@ -69,14 +69,14 @@ def _difference(known: Setup, setup: Setup) -> str:
     if known.info is None or known.info is setup.info:
         return ""
     before, now = dict(known.info), dict(setup.info)
-    for field in before.keys() - _MAY_CHANGE:
-        if not np.array_equal(before[field], now[field]):
-            return (
-                f"{field} of the sensor's info has changed from {_text(before[field])} to {_text(now[field])}"
-            )
+    for field, value in before.items():
+        if field not in _MAY_CHANGE and not np.array_equal(value, now[field]):
+            return f"{field} of the sensor's info has changed from {_text(value)} to {_text(now[field])}"
     return ""
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return "none"
     values = np.atleast_1d(value)
     return ", ".join(f"{each:g}" for each in values) if values.size <= _SHOWN else f"{values.size} values"

@@ -15,8 +15,9 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Self
 
-from rpod_estimator.frame_reader import Arrived
+from rpod_estimator.frame_reader import FROZEN_REPEATS, Arrived
 from rpod_estimator.inputs.book import AT_ONCE
+from rpod_pose.navigation.sensors.streams import PERIODS
 from rpod_pose.navigation.state import Output
 from rpod_runtime import BusClock
 from rpod_runtime.clock import Clock
@@ -24,8 +25,6 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimateValidity, Mode
 
-PERIODS = 1.5
-"""Number of its own periods in which a slow sensor must deliver its next measurement."""
 BEACON_S = 0.1
 """Longest time between two messages."""
 _MARGIN_S = 1e-3
@@ -46,8 +45,14 @@ class _Sensor:
 
     def deadline_s(self, stale_after_s: float) -> float:
         """Return the time up to which its last measurement supports an estimate."""
-        allowed_s = max(stale_after_s, PERIODS * median(self.gaps_s or [0.0]))
-        return float("-inf") if self.new_s is None else self.new_s + allowed_s
+        return float("-inf") if self.new_s is None else self.new_s + self._allowed_s(stale_after_s)
+
+    def sends(self, now_s: float, stale_after_s: float) -> bool:
+        """Return whether it still sends frames; what a silent sensor sent last tells nothing about others."""
+        return self.arrival_s is not None and now_s <= self.arrival_s + self._allowed_s(stale_after_s)
+
+    def _allowed_s(self, stale_after_s: float) -> float:
+        return max(stale_after_s, PERIODS * median(self.gaps_s or [0.0]))
 
 
 class Validity:
@@ -108,9 +113,11 @@ class Validity:
         if not self._mode.has_track:
             return f"the target is not tracked: {self._mode.name}"
         for name, sensor in self._sensors.items():
+            if not sensor.sends(now_s, self._stale_after_s):
+                continue
             if sensor.contradiction:
                 return f"{name}: {sensor.contradiction}"
-            if sensor.repeats and now_s > sensor.deadline_s(self._stale_after_s):
+            if sensor.repeats >= FROZEN_REPEATS and now_s > sensor.deadline_s(self._stale_after_s):
                 return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
         if now_s <= self._deadline_s():
             return self._of_no_use

@@ -241,17 +241,19 @@ class _Feed:
         """Yield the estimator's outputs, and whether their frames were refused because the stream froze."""
         for event in events:
             self._estimator.learn(self._reader.infos)
-            for heard in self._inputs:
-                heard.take_until(event.stamp_ns)
-            self._reset_before(event.stamp_ns)
+            in_time = isinstance(event, Tick) or event.came_in_time
+            if in_time:
+                for heard in self._inputs:
+                    heard.take_until(event.stamp_ns)
+                self._reset_before(event.stamp_ns)
             if isinstance(event, Tick):
                 if (output := self._estimator.tick(event.stamp_ns)) is not None:
                     yield output, False
                 continue
-            if self._recorded is None:
+            if self._recorded is None and in_time:
                 for output in self._estimator.let_time_pass(event.stamp_ns):
                     yield output, False
-            else:  # the statuses show which ticks changed the mode
+            elif self._recorded is not None:  # the statuses show which ticks changed the mode
                 self._recorded.evidence = event.evidence
             started_s = time.perf_counter()
             output = self._estimator.process(event)

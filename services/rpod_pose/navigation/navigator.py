@@ -32,7 +32,6 @@ from rpod_pose.navigation.first_pose.searches import (
     BEGUN,
     FOUND,
     SEARCHED,
-    SEARCHING,
     Found,
     InlineSearches,
     Search,
@@ -145,7 +144,7 @@ class Navigator:
         if state.given is not None:
             state = self._beginning.at_given(state, state.given, event)
         pending = state.searches.get(event.sensor)
-        if pending is None or self._verifies_another(state, event):
+        if pending is None or state.verifies_another(event.sensor):
             return self._look(state, event)
         found = self._searches.result(pending)
         if found is None:
@@ -172,6 +171,8 @@ class Navigator:
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
+            if event.sensor in state.established:  # a pose that it cannot verify is dropped
+                return self._reject(state, event, None, reason=why)
             return state, self._output(state, event, reason=why)
         if state.established and event.sensor not in state.established:
             return self._newcomers.offer(state, history, event)
@@ -195,7 +196,7 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         told = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=told)
-        return output.with_evidence(BEGUN, 1.0)
+        return self._judged(state, output.with_evidence(BEGUN, 1.0))
 
     def _judged(self, state: NavigatorState, output: Output) -> Output:
         """Return an output that says whether its covariance makes it unusable."""
@@ -233,7 +234,7 @@ class Navigator:
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Search without a guess."""
-        if waiting := self._waiting(state, event):
+        if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
         if self._rests(state, event):
             return state, self._output(state, event, reason=RESTS)
@@ -243,15 +244,6 @@ class Navigator:
     def _rests(self, state: NavigatorState, event: Measurement) -> bool:
         pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
         return is_paused(state.streams, event.sensor, event.stamp_ns, pause_s)
-
-    def _verifies_another(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether the first pose of another sensor is being verified, so that a result can wait."""
-        return state.mode == Mode.VERIFYING and bool(state.established - {event.sensor})
-
-    def _waiting(self, state: NavigatorState, event: Measurement) -> str:
-        """Return that an earlier frame of the sensor is being searched; empty if none is."""
-        pending = state.searches.get(event.sensor)
-        return "" if pending is None else SEARCHING.format(pending.age_s(event.stamp_ns))
 
     # --- rivals ---
 
@@ -292,7 +284,7 @@ class Navigator:
         registration, reason = self._registrar.register(state.joints, event, predicted, tracked=tracked)
         if reason and not (tracked and self._registrar.is_confident(predicted)):
             # While no twist is known, or after a gap, the prediction may be far off.
-            if waiting := self._waiting(state, event):
+            if waiting := state.waiting(event.sensor, event.stamp_ns):
                 return state, self._output(state, event, registration, reason=reason, search=waiting)
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
@@ -333,9 +325,11 @@ class Navigator:
             if proven:
                 started = self._beginning.filter_at(measured)
                 state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
-                if outcome != Outcome.OPEN:
-                    reason = outcome.value if outcome == Outcome.LOST else ""
-                    return state, self._output(state, event, registration, reason=reason, nis=nis)
+                if outcome == Outcome.LOST:
+                    return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
+                if outcome == Outcome.REPLACED:
+                    state = replace(self._accepting(state, event, registration), mode=Mode.TRACKING)
+                    return state, self._output(state, event, registration, nis=nis)
             reason = self._refusals.explain(history, predicted, measured, nis=nis, tracked=tracked)
             return self._reject(state, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
@@ -363,7 +357,7 @@ class Navigator:
         self,
         state: NavigatorState,
         event: Measurement,
-        registration: Registration,
+        registration: Registration | None,
         *,
         reason: str,
         nis: float = float("nan"),
@@ -383,9 +377,10 @@ class Navigator:
             return self._acquire(state, event)
         registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
-            state = self._beginning.at_found(state, event, registration)
-            return state, self._output(state, event, registration)
-        if waiting := self._waiting(state, event):
+            why = self._ranges.not_of(event.sensor, registration)
+            state = state if why else self._beginning.at_found(state, event, registration)
+            return state, self._output(state, event, registration, reason=why)
+        if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
         everywhere = None if self._rests(state, event) else event.data
@@ -397,4 +392,6 @@ class Navigator:
         if not state.mode.has_track or silent_s <= self._limits.silence_timeout_s:
             return state, None
         state, reason = self._coasting.aged(state, tick.stamp_ns)
-        return self._results.silent(state, tick.stamp_ns, reason or f"no frame for {silent_s:.1f} s")
+        reason = reason or f"no frame for {silent_s:.1f} s"
+        state, output = self._results.silent(state, tick.stamp_ns, reason)
+        return state, self._judged(state, output)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
-from rpod_pose.navigation.first_pose.searches import AGE_S, Search
+from rpod_pose.navigation.first_pose.searches import AGE_S, SEARCHING, Search
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
@@ -61,6 +61,15 @@ class NavigatorState:
     def searching(self, search: Search) -> "NavigatorState":
         """Return this state while the result of a search is awaited."""
         return replace(self, searches={**self.searches, search.sensor: search})
+
+    def waiting(self, sensor: str, stamp_ns: int) -> str:
+        """Return that an earlier frame of a sensor is being searched at a stamp; empty if none is."""
+        pending = self.searches.get(sensor)
+        return "" if pending is None else SEARCHING.format(pending.age_s(stamp_ns))
+
+    def verifies_another(self, sensor: str) -> bool:
+        """Return whether the first pose of another sensor is being verified, so that a result can wait."""
+        return self.mode == Mode.VERIFYING and bool(self.established - {sensor})
 
     def not_searching(self, sensor: str) -> "NavigatorState":
         """Return this state without the search of a sensor, if there is one."""

@@ -87,3 +87,15 @@ def test_a_found_target_and_a_reset_end_the_rest():
     assert search.backoff.pause_s
     search.backoff.end()
     assert search.arrive()
+
+
+def test_a_stream_whose_frames_change_their_size_is_compared_with_the_newest_ones_only():
+    rng = np.random.default_rng(3)
+    rows = [lidar(rng) for _ in range(4)]
+    alone = [scan.model_copy(update={"points_m": scan.returns_m}) for scan in rows]
+    backoff = Backoff()
+    for number, scan in enumerate((*rows, *alone)):
+        backoff.take(scan, began_s=2.0 * number, now_s=2.0 * number + SEARCH_S)
+    assert backoff.pause_s > 0.0
+    assert backoff.is_paused(alone[0], 14.5)
+    assert not backoff.is_paused(rows[0], 14.5), "another kind of scan is searched"

@@ -34,6 +34,19 @@ def test_another_scan_pattern_is_not_used_while_tracked_until_a_reset():
     check.check("lidar", other, source=DRIVER, pinned=True)
 
 
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_pattern_that_is_stated_by_other_fields_is_another_one(learned: bool):
+    check, mount, plain = SetupCheck(), make_pose(), pattern(0.5)
+    rows = plain.model_copy(update={"row_azimuth_rad": np.full(plain.elevation_rad.size, 0.01)})
+    before, after = (plain, rows) if learned else (rows, plain)
+    check.check("lidar", Setup(mount, before), source=DRIVER, pinned=True)
+    told = "none to 20 values" if learned else "20 values to none"
+    with pytest.raises(
+        MessageRejectedError, match=f"row_azimuth_rad of the sensor's info has changed from {told}"
+    ):
+        check.check("lidar", Setup(mount, after), source=DRIVER, pinned=True)
+
+
 def test_mounts_that_two_sources_give_differently_are_told_with_their_distance():
     configured = make_pose(translation_m=(0.3, 0.0, 0.0))
     mounts = Extrinsics({"pmd": configured})

@@ -102,6 +102,22 @@ def test_another_mount_makes_it_invalid_at_once():
     assert at(validity, fed(validity, start_s=now_s + 1 / 16, frames=1)).valid
 
 
+@pytest.mark.parametrize(
+    "last",
+    [
+        {"repeats": 1},
+        {"repeats": 4},
+        {"reason": "other_setup: the mount has moved by 1.000 m", "refused": "other_setup"},
+    ],
+    ids=["one repetition", "frozen", "contradicted"],
+)
+def test_a_sensor_that_is_switched_off_does_not_keep_the_estimates_of_another_one_invalid(last):
+    validity = Validity(0.2)
+    last_s = fed(validity, sensor="pmd")
+    off_s = fed(validity, sensor="pmd", start_s=last_s + 1 / 16, frames=1, **last)
+    assert at(validity, fed(validity, sensor="lidar", start_s=off_s + 0.1, frames=8)).valid
+
+
 def test_an_estimate_whose_own_covariance_is_beyond_the_alert_limit_is_not_valid():
     validity = Validity(0.2)
     last_s = fed(validity)

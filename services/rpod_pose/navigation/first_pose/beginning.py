@@ -88,6 +88,7 @@ class Beginning:
             streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
+            challenger=None,
             confirmations=0,
             joints=self.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
@@ -103,6 +104,7 @@ class Beginning:
             streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
+            challenger=None,
             confirmations=rivals.frames,
             searches={},
         )
@@ -119,6 +121,7 @@ class Beginning:
             streams=begun(state.streams),
             established=frozenset(),
             separation=None,
+            challenger=None,
             confirmations=self._limits.confirmations - 1,
             searches={},
         )

@@ -46,15 +46,15 @@ class SearchResults:
     def first(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
         """Begin a track, or the tracks of rivals, if a search has found the target."""
         event, acquisition = search.event, found.acquisition
+        registration, belief = acquisition.registration, acquisition.belief
         if found.nearby and not acquisition.begins_track:
             return state, self._output(state, event, reason=search.reason)
-        if not found.nearby:
-            state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
-            if why := self._ranges.not_of(event.sensor, acquisition):
-                return state, self._output(state, event, reason=why)
         if found.paused:
             return state, self._output(state, event, search=PAUSED)
-        registration, belief = acquisition.registration, acquisition.belief
+        if not found.nearby:
+            state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
+        if why := self._ranges.not_of(event.sensor, registration):
+            return state, self._output(state, event, reason=why)
         if acquisition.begins_track:
             state = self._beginning.at_found(state, event, registration)
             return state, self._output(state, event, registration)

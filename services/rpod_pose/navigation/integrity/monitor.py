@@ -32,6 +32,7 @@ from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
+from rpod_pose.navigation.sensors.streams import is_recent
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
@@ -65,8 +66,8 @@ class Memory:
     contradiction: str = ""
     sensor: str = ""
     """Sensor whose measurement was accepted last."""
-    frozen: frozenset[str] = frozenset()
-    """Sensors whose newest frames are identical."""
+    frozen_ns: Mapping[str, int] = field(default_factory=dict)
+    """Stamp of the newest frame of each sensor that sends identical frames."""
     inside: Inside = field(default_factory=Inside)
     """Tests of the sensors' frames for errors inside them."""
 
@@ -80,7 +81,7 @@ class Monitor:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._filter, self._config = settings.filter, settings.integrity
-        self._tuning = settings.integrity.tuning
+        self._tuning, self._silence_s = settings.integrity.tuning, settings.navigator.silence_timeout_s
         self._limits = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
 
     def assess(
@@ -115,10 +116,13 @@ class Monitor:
 
     def _heard(self, memory: Memory, state: NavigatorState, output: Output, frozen: bool) -> Memory:
         """Return the memory with the frame of a step."""
-        status = output.status
-        if status.sensor:
-            mine = {status.sensor}
-            memory = replace(memory, frozen=memory.frozen | mine if frozen else memory.frozen - mine)
+        status, now_ns = output.status, output.status.stamp_ns
+        frozen_ns = {
+            name: stamp_ns
+            for name, stamp_ns in memory.frozen_ns.items()
+            if name != status.sensor and is_recent(state.streams, name, stamp_ns, now_ns, self._silence_s)
+        }
+        memory = replace(memory, frozen_ns=frozen_ns | ({status.sensor: status.stamp_ns} if frozen else {}))
         if status.accepted:
             inside = memory.inside.after(
                 status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
@@ -327,8 +331,8 @@ class Monitor:
 
     def _alert(self, memory: Memory, estimate: FilterState, tests: list[Statistic]) -> str:
         """Return why the estimate must not be used; empty if nothing contradicts it."""
-        if memory.frozen:
-            return f"{', '.join(sorted(memory.frozen))}: frozen, its last frames are identical"
+        if memory.frozen_ns:
+            return f"{', '.join(sorted(memory.frozen_ns))}: frozen, its last frames are identical"
         failed = [test.describe(self._config.risk) for test in tests if test.exceeds_risk(self._config.risk)]
         if failed:
             return failed[0]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.ports import Acquisition
+from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.sensor import SensorInput
 
@@ -25,9 +25,9 @@ class Ranges:
             return ""
         return self._reason(sensor, T_sensor_chaser.apply(T_chaser_target.translation), "predicted")
 
-    def not_of(self, sensor: str, found: Acquisition) -> str:
-        """Return why a pose that a search found is not used; empty if it is used, or if none was found."""
-        pose = found.registration.T_sensor_target
+    def not_of(self, sensor: str, found: Registration) -> str:
+        """Return why a pose that was found is not used; empty if it is used, or if none was found."""
+        pose = found.T_sensor_target
         if sensor not in self._range_m or pose is None:
             return ""
         return self._reason(sensor, pose.translation, "found")

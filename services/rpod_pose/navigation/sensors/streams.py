@@ -22,7 +22,7 @@ class Stream:
     period_ns: int | None = None
     """Time between the two newest frames; None if unknown."""
     searched_ns: int | None = None
-    """Stamp of the newest frame that was searched without a guess, without success; None if there is none."""
+    """Stamp of the newest frame that was searched without a guess; None if there is none."""
     accepted_ns: int | None = None
     """Newest stamp of a frame that the present track has accepted; None if there is none."""
 
@@ -34,8 +34,7 @@ class Stream:
         """Return whether no frame has come at a stamp although one was due; ``unknown_s`` as for a track."""
         if self.heard_ns is None:
             return False
-        late_s = unknown_s if self.period_ns is None else PERIODS * self.period_ns / NANOSECONDS
-        return (stamp_ns - self.heard_ns) / NANOSECONDS > late_s
+        return (stamp_ns - self.heard_ns) / NANOSECONDS > self._late_s(unknown_s)
 
     def supports(self, stamp_ns: int, at_least_s: float, unknown_s: float = 0.0) -> bool:
         """Return whether the newest accepted frame is new enough to support the track at a stamp.
@@ -47,9 +46,10 @@ class Stream:
         """
         if self.accepted_ns is None:
             return False
-        late_s = unknown_s if self.period_ns is None else PERIODS * self.period_ns / NANOSECONDS
-        allowed_s = max(at_least_s, late_s)
-        return (stamp_ns - self.accepted_ns) / NANOSECONDS <= allowed_s
+        return (stamp_ns - self.accepted_ns) / NANOSECONDS <= max(at_least_s, self._late_s(unknown_s))
+
+    def _late_s(self, unknown_s: float) -> float:
+        return unknown_s if self.period_ns is None else PERIODS * self.period_ns / NANOSECONDS
 
 
 Streams = Mapping[str, Stream]
@@ -80,7 +80,7 @@ def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
 
 
 def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
-    """Return the streams after an unsuccessful search in a frame."""
+    """Return the streams after a search without a guess in a frame."""
     return {**streams, sensor: replace(streams.get(sensor, Stream()), searched_ns=stamp_ns)}
 
 
@@ -88,6 +88,11 @@ def is_paused(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> b
     """Return whether a frame is not searched, so that unsuccessful searches do not delay another sensor."""
     searched_ns = streams.get(sensor, Stream()).searched_ns
     return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
+
+
+def is_recent(streams: Streams, sensor: str, stamp_ns: int, now_ns: int, at_least_s: float) -> bool:
+    """Return whether a frame of a sensor is so new that its next one need not have come."""
+    return replace(streams.get(sensor, Stream()), accepted_ns=stamp_ns).supports(now_ns, at_least_s)
 
 
 def supporters(streams: Streams) -> list[str]:

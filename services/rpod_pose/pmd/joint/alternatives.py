@@ -5,16 +5,19 @@ known only roughly. So a frame is aligned twice: with all edges, and without tho
 with others. Where the two poses differ, the likelier one is taken. The other one remains among its errors.
 
 An alignment from a prediction some pixels off may end where edges meet their neighbours. It is repeated from
-poses around its end, until no further start leads to a likelier pose.
+poses around its end, until no further start leads to a likelier pose. Before, it is repeated from poses along
+the sight, where the bias of the ranges may have hidden the outline from the search for edges.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, expit, ndtri, softmax
 
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.joint.brightness_fit import MOST_SIGMAS
 from rpod_pose.pmd.joint.depth_points import add_depth_points
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem
@@ -44,6 +47,8 @@ half of the six degrees of freedom."""
 DRAWN_POWER = 3
 """Two to this power poses are drawn from a covariance. Numerics: a budget; a mean of eight is within a third.
 """
+MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
+"""Largest bias that is searched, in sigmas, and number of places on each side. Numerics: budgets."""
 ALONE = np.zeros((6, 6))
 """Spread of an alignment without another one beside it."""
 
@@ -69,6 +74,25 @@ class Aligned(NamedTuple):
         return self._replace(spread=expit(-more_loss) * np.outer(away, away))
 
 
+def along_sight(state: State, *, sigma_m: float, step_m: float) -> list[State]:
+    """Return poses nearer and farther than one, with the biases of the ranges that leave the depth in place.
+
+    A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the outline
+    in the image is off by more than the reach of the search for edges.
+
+    Args:
+        state: the pose.
+        sigma_m: standard deviation of the bias, m.
+        step_m: distance of two poses, m. The result is empty if it is larger than the bias may be.
+    """
+    (R, t), bias_m = state
+    number = int(min(MOST_BIAS_SIGMAS * sigma_m / step_m, MOST_MOVES))
+    range_m = max(hypot(*t), NEAREST_M)
+    steps_m = [move * step_m for move in range(-number, number + 1) if move]
+    nearest = NEAREST_M / range_m
+    return [State(PoseArrays(R, t * max(1.0 - step / range_m, nearest)), bias_m + step) for step in steps_m]
+
+
 def depth_loss(problem: JointProblem, state: State) -> float:
     """Return minus the log likelihood of the depth at a pose, up to a constant.
 
@@ -92,6 +116,7 @@ def likeliest(
     aligned_from: Callable[[State], Aligned],
     px_m: float,
     radius_m: float,
+    along_sight: Sequence[State] = (),
 ) -> Aligned:
     """Return the likeliest of the alignments from poses around one, with the others among its errors.
 
@@ -103,9 +128,12 @@ def likeliest(
         aligned_from: the alignment from another start.
         px_m: motion across the sight that moves the target by a pixel, m.
         radius_m: radius of the target.
+        along_sight: starts nearer and farther than the first one's end, which are tried before those around.
     """
-    best, tried, losses, since = first, [first], [loss(first)], 0
-    least = losses[0]
+    tried = [first, *(aligned_from(start) for start in along_sight)]
+    losses = [loss(each) for each in tried]
+    place = 0 if losses[0] <= min(losses) + CLEAR_LOG else int(np.argmin(losses))
+    best, least, since = tried[place], losses[place], 0
     for shift, turn in start_steps():
         if since == PATIENCE:
             break

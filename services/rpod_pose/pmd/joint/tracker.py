@@ -15,7 +15,7 @@ of the pose names it.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import radians
+from math import hypot, inf, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,14 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
-from rpod_pose.pmd.joint.alternatives import Aligned, depth_loss, likeliest, log_likelihoods, poses_of
+from rpod_pose.pmd.joint.alternatives import (
+    Aligned,
+    along_sight,
+    depth_loss,
+    likeliest,
+    log_likelihoods,
+    poses_of,
+)
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief, source_of
 from rpod_pose.pmd.joint.depth_points import Planes
@@ -70,8 +77,6 @@ CERTAIN_SIGMAS = 0.5
 position and that of the attitude times the radius. Numerics: a budget of computation."""
 LAST_STEPS = 2
 """Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
-MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
-"""Largest bias that is searched, in sigmas, and number of places on each side. Numerics: budgets."""
 MOST_WIDER = 3.0
 """Greatest factor on the last search's reach, for close targets. Numerics: a budget of computation."""
 
@@ -143,7 +148,7 @@ class JointTracker:
             tried.append(_Tried(aligned, self._registered(seen, sights, aligned, len(schedule))))
             moved = None
             if not tried[-1].found.begins_track:
-                moved = self._moved_along_sight(seen, sights, aligned.fit.state.pose)
+                moved = self._moved_along_sight(seen, sights, State(aligned.fit.state.pose, 0.0))
             if moved is not None:
                 aligned = self._aligned(seen, sights, moved, self._near)
                 steps = len(schedule) + len(self._near)
@@ -188,6 +193,7 @@ class JointTracker:
         errors = self._edge_errors._replace(merged=aligned.last.edge_errors.merged)
         best = likeliest(
             aligned,
+            along_sight=self._along_sight(seen, aligned.fit.state),
             loss=lambda each: self._loss(seen, each.fit.state, each.last),
             aligned_from=lambda start: self._aligned_by(seen, sights, start, schedule, errors),
             px_m=seen.away_m / focal_px,
@@ -214,30 +220,23 @@ class JointTracker:
             far_m = np.maximum(self._far_m, self._least_scale_m(seen))
             yield State(field_aligned(few, pose, self._coarse, far_m), 0.0), self._full
 
-    def _moved_along_sight(self, seen: JointFrame, sights: Sights, pose: PoseArrays) -> State | None:
-        """Return the pose, nearer or farther by the camera's bias, at which most edges are in their place.
-
-        A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the
-        target's outline in the image is off by more than the reach of the search for edges. None if the bias
-        moves the outline less, or if too few edges are in their place at any of the poses. One rendering
-        serves for all of them: along the sight the target shows the same sides.
-        """
-        reach_px, sigma_m = self._tuning.edges.final_search_px, self._ranges.bias_m
-        range_m = max(float(np.linalg.norm(pose.t)), NEAREST_M)
-        px_per_m = seen.view.camera.fx * self._target.radius_m / max(float(pose.t[2]), NEAREST_M) / range_m
-        if not np.isfinite(px_per_m):
-            return None
-        number = int(min(MOST_BIAS_SIGMAS * sigma_m * px_per_m / reach_px, MOST_MOVES))
-        if not number:
-            return None
-        best, most, sight = None, self._tuning.near_share, sights.at(pose)
-        for move in (move for move in range(-number, number + 1) if move):
-            bias_m = move * reach_px / px_per_m
-            moved = PoseArrays(pose.R, pose.t * max(1.0 - bias_m / range_m, NEAREST_M / range_m))
-            in_place = self._in_place(seen, sight, moved)
+    def _moved_along_sight(self, seen: JointFrame, sights: Sights, state: State) -> State | None:
+        """Return the pose along the sight at which most edges are in their place; None if they are few."""
+        best, most = None, self._tuning.near_share
+        sight = sights.at(state.pose)  # along the sight the target shows the same sides
+        for moved in self._along_sight(seen, state):
+            in_place = self._in_place(seen, sight, moved.pose)
             if in_place is not None and in_place > most:
-                best, most = State(moved, bias_m), in_place
+                best, most = moved, in_place
         return best
+
+    def _along_sight(self, seen: JointFrame, state: State) -> list[State]:
+        """Return poses along the sight, a reach of the search for edges from one another in the image."""
+        t, away_m = state.pose.t, max(float(state.pose.t[2]), NEAREST_M)
+        range_m = max(hypot(*t), NEAREST_M)
+        px_per_m = seen.view.camera.fx * self._target.radius_m / away_m / range_m
+        step_m = self._tuning.edges.final_search_px / px_per_m if 0.0 < px_per_m < inf else inf
+        return along_sight(state, sigma_m=self._ranges.bias_m, step_m=step_m)
 
     def _aligned(self, seen: JointFrame, sights: Sights, state: State, schedule: FloatArray) -> Aligned:
         """Return the likelier one of the alignments with and without edges that merge with others.

@@ -192,6 +192,13 @@ def test_a_frozen_stream_is_an_alert_until_it_moves_again(track):
     assert track.measure(6.1).state is IntegrityState.NOMINAL
 
 
+def test_a_frozen_sensor_that_is_switched_off_is_no_alert_for_the_others(track):
+    follow(track, PMD_S)
+    track.judge(START_NS + 6 * SECOND_NS, sensor="pmd", accepted=False, frozen=True)
+    assert track.measure(6.1, sensor="lidar").state is IntegrityState.ALERT
+    assert "frozen" not in track.measure(8.6, sensor="lidar").reason
+
+
 def test_two_sensors_that_differ_by_more_than_their_covariances_are_an_alert(track):
     follow(track, PMD_S)
     wrong = make_pose(rotation=Rotation.from_rotvec([0.0, np.deg2rad(1.0), 0.0]))

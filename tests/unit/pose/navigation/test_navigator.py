@@ -742,3 +742,44 @@ def test_a_track_is_lost_soon_if_believed_poses_agree_on_another_attitude():
     outputs = [made.see(turned(START_S + 1.0 + 0.1 * number, 90.0)) for number in (1, 2, 3)]
     assert [output.status.mode for output in outputs] == [Mode.TRACKING, Mode.TRACKING, Mode.LOST]
     assert outputs[-1].status.reason == "believed poses agree on another attitude than the tracked one"
+
+
+def test_a_pose_outside_the_range_of_its_sensor_is_not_verified_for_ever():
+    made = rig(range_m=(6.5, 50.0), confirmations=100)
+    outputs = [made.see(good(START_S + 0.1 * number)) for number in range(60)]
+    modes = [each.status.mode for each in outputs]
+    ended = modes.index(Mode.ACQUIRING)
+    assert set(modes[:ended]) == {Mode.VERIFYING}
+    assert (
+        outputs[ended].status.reason == "out of range: the target is predicted at 6.5 m, range_m is 6.5 to 50"
+    )
+    assert set(modes[ended:]) == {Mode.ACQUIRING}
+
+
+def test_a_target_that_is_found_again_outside_the_range_of_its_sensor_stays_lost():
+    made = lost(range_m=(6.5, 50.0))
+    output = made.see(good(START_S + 6.1))
+    assert output.status.reason.startswith("out of range: the target is found at 6.")
+    assert (made.mode, output.status.accepted) == (Mode.LOST, False)
+
+
+def test_poses_that_a_lost_track_refused_are_no_evidence_against_the_next_one():
+    made = tracking(confirmations=0)
+    made.see(turned(START_S + 1.1, 60.0))
+    made.tick(START_S + 10.0)
+    assert made.see(untracked(START_S + 20.0)).status.mode == Mode.TRACKING
+    assert made.see(turned(START_S + 20.1, 60.0)).status.mode == Mode.TRACKING
+
+
+def test_a_track_that_goes_on_at_agreeing_poses_is_supported_by_them():
+    made = tracking()
+    outputs = [made.see(turned(START_S + 1.0 + 0.1 * number, 12.0)) for number in (1, 2, 3)]
+    assert [each.status.accepted for each in outputs] == [False, True, True]
+    assert [each.lost for each in outputs] == ["", "", ""]
+
+
+def test_an_estimate_beyond_the_alert_limit_stays_so_while_no_frame_comes():
+    made = tracking(alert=AlertLimit(attitude_deg=0.01), rate_hz=0.5, until_s=START_S + 10.0)
+    told = made.tick(START_S + 12.8)
+    assert made.mode == Mode.TRACKING
+    assert told.of_no_use.startswith("sigma of the attitude")

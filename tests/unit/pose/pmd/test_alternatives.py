@@ -10,10 +10,12 @@ from tests.unit.pose.pmd.test_joint import FRAME, MOCKUP, TRACKER, TRUTH, assert
 
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.alternatives import (
+    MOST_MOVES,
     MOST_STARTS,
     PATIENCE,
     START_PX,
     Aligned,
+    along_sight,
     depth_loss,
     likeliest,
     log_likelihoods,
@@ -196,6 +198,40 @@ def test_an_unlikely_alignment_adds_nothing_to_the_errors() -> None:
     )
     assert best.fit is first.fit
     assert np.trace(best.spread) < 1e-20
+
+
+def test_poses_along_the_sight_leave_the_depth_where_it_is() -> None:
+    state = State(PoseArrays.of(TRUTH), 0.01)
+    assert along_sight(state, sigma_m=0.036, step_m=0.08) == []
+    moved = along_sight(state, sigma_m=0.036, step_m=0.03)
+    assert [each.bias_m for each in moved] == pytest.approx([-0.05, -0.02, 0.04, 0.07])
+    range_m = np.linalg.norm(TRUTH.translation)
+    for each in moved:
+        assert np.linalg.norm(each.pose.t) + each.bias_m == pytest.approx(range_m + 0.01)
+        np.testing.assert_allclose(np.cross(each.pose.t, TRUTH.translation), 0.0, atol=1e-12)
+    assert len(along_sight(state, sigma_m=0.036, step_m=1e-3)) == 2 * MOST_MOVES
+
+
+def test_the_search_around_a_pose_begins_at_the_likeliest_along_the_sight() -> None:
+    first, started = aligned(TRUTH), []
+    moved = along_sight(first.fit.state, sigma_m=0.036, step_m=0.03)
+
+    def aligned_from(start: State) -> Aligned:
+        started.append(start)
+        return first._replace(fit=first.fit._replace(state=start))
+
+    losses = iter((9.0, 9.0, 3.0, 9.0, 9.0, 9.0, 9.0, 9.0))
+    best = likeliest(
+        first,
+        loss=lambda _: next(losses),
+        aligned_from=aligned_from,
+        px_m=0.005,
+        radius_m=MOCKUP.radius_m,
+        along_sight=moved,
+    )
+    assert started[: len(moved)] == moved
+    assert len(started) == len(moved) + PATIENCE
+    assert best.fit.state is moved[1]
 
 
 def test_starts_are_the_same_in_each_process() -> None:
