@@ -143,7 +143,7 @@ class Host:
         # For an unexpected error, the place in the code is logged once.
         expected = isinstance(error, OSError | DriverError) or self._trouble == before
         log.error("%s; connecting again in %g s", self._trouble, self._retry_s, exc_info=not expected)
-        self._node.stop.wait(self._retry_s)
+        manager.attend(self._node.stop, self._retry_s)
         self._retry_s = min(2.0 * self._retry_s, self._config.max_retry_s)
 
     def check(self) -> tuple[Health, str]:

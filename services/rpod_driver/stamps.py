@@ -16,14 +16,14 @@ from typing import Literal
 from pydantic import Field
 
 from rpod_schemas.config.base import Config
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorSync
 
 log = logging.getLogger(__name__)
 
-_NANOSECONDS = 1_000_000_000
-_UTC_WITHIN_NS = 86_400 * _NANOSECONDS
+_UTC_WITHIN_NS = 86_400 * NANOSECONDS
 """Greatest offset of a clock of UTC or TAI from this machine's; a count from power-up is decades away."""
-_WINDOW_NS = 10 * _NANOSECONDS
+_WINDOW_NS = 10 * NANOSECONDS
 """Time over which the least delay is sought: crystals of 100 ppm drift by 1 ms in it."""
 
 StampSource = Literal["device", "mapped", "host"]
@@ -47,7 +47,7 @@ class StampMapper:
 
     def __init__(self, sensor: str, config: StampConfig, now_ns: Callable[[], int] = time.time_ns) -> None:
         self._sensor, self._config, self._now_ns = sensor, config, now_ns
-        self._delay_ns = round(config.delay_s * _NANOSECONDS)
+        self._delay_ns = round(config.delay_s * NANOSECONDS)
         self._offsets: deque[tuple[int, int]] = deque()
         self._last_device_ns = self._last_ns = -1
         self.source: StampSource | None = None
@@ -58,7 +58,9 @@ class StampMapper:
         return SensorSync(stamp_source=self.source)
 
     def utc_ns(self, device_ns: int | None) -> int:
-        """Return the stamp of a frame that has just arrived, ns of UTC; stamps rise.
+        """Return the stamp of a frame that has just arrived, ns of UTC.
+
+        Mapped stamps and stamps of arrival rise. Those of the device are passed on unchanged.
 
         Args:
             device_ns: its stamp by the device's clock, ns; None if the device gives none.
@@ -103,7 +105,7 @@ class StampMapper:
                 "if nothing set its clock); they are mapped to arrival, and late by the least delay less "
                 "delay_s (%g s): give the device an NTP or PTP server",
                 self._sensor,
-                (device_ns or 0) / _NANOSECONDS,
+                (device_ns or 0) / NANOSECONDS,
                 self._config.delay_s,
             )
         else:

@@ -25,7 +25,7 @@ from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError, MessageRejectedError, Reason
 from rpod_schemas.messages import read_transforms
-from rpod_schemas.rmw.cdr import peek_stamp
+from rpod_schemas.rmw.cdr import STAMP_END, peek_stamp
 from rpod_schemas.sensors import SensorKind, sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, SensorFrame, SensorInfo
@@ -35,8 +35,6 @@ _IN_TIME = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRO
 FROZEN_REPEATS = 2
 """Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
 A driver may send one frame twice."""
-STAMP_END = 12
-"""End of the encapsulation header and the stamp in a message's bytes."""
 
 
 @dataclass(frozen=True)

@@ -102,12 +102,16 @@ def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]
 
 
 def read_amplitude(message: Any) -> NDArray[Any]:
-    """Return the amplitude, shape (height, width), of a ``mono16``, ``mono8`` or ``32FC1`` image."""
+    """Return the amplitude, shape (height, width), of a ``mono16``, ``mono8`` or ``32FC1`` image.
+
+    NaN, which cameras send where they measure nothing, becomes 0.
+    """
     if message.encoding not in ("mono16", "mono8", "32FC1", "16UC1"):
         raise MessageRejectedError(Reason.WRONG_TYPE, f"amplitude in {message.encoding}, needs {_AMPLITUDES}")
     image = read_image(message)
     if image.dtype.kind == "f" and not (np.abs(image) <= AMPLITUDE.high).all():
         within(AMPLITUDE, "a pixel of the amplitude image", image[~np.isnan(image)])
+        image = np.nan_to_num(image, nan=0.0)
     return image.astype(image.dtype.newbyteorder("="), copy=False)
 
 

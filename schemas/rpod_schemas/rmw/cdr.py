@@ -131,13 +131,17 @@ def _deserialised(payload: bytes | memoryview, type_name: str) -> Any:
         return _older_layouts()[type_name].deserialize_cdr(payload, type_name)
 
 
+STAMP_END = 12
+"""End of the encapsulation header and the stamp in the bytes of a message that begins with a header."""
+
+
 def peek_stamp(payload: bytes | bytearray | memoryview) -> int:
     """Return the stamp, ns, of an encoded message that begins with a std_msgs/Header.
 
     Raises:
         MessageRejectedError: the bytes are too few, or hold no valid stamp.
     """
-    if len(payload) < 12 or payload[0] != 0 or payload[1] not in _STAMP:
+    if len(payload) < STAMP_END or payload[0] != 0 or payload[1] not in _STAMP:
         raise MessageRejectedError(Reason.MALFORMED, f"no CDR header with a stamp in {len(payload)} bytes")
     seconds, nanoseconds = _STAMP[payload[1]].unpack_from(payload, 4)
     return checked_stamp(seconds, nanoseconds)

@@ -108,7 +108,8 @@ def comparison_figure(contents: Sequence[ReportContent]) -> go.Figure:
     for place, title in enumerate(("error [°]", "error [m]", "NEES [-]", "distance [m]")):
         figure.update_yaxes(title_text=title, row=place // 2 + 1, col=place % 2 + 1)
     figure.update_yaxes(type="log", exponentformat="power", dtick=1, row=2, col=1)
-    draw_limit(figure, "y", NEES_95[6], BAD, row=2, col=1)
+    for dof in sorted({content.totals.dof for content in contents}):
+        draw_limit(figure, "y", NEES_95[dof], BAD, row=2, col=1)
     figure.update_xaxes(title_text="time from each run's start [s]", row=2)
     figure.update_layout(legend={"orientation": "h", "y": 1.05, "yanchor": "bottom", "x": 0})
     return styled(figure, height=620, top=66, legend=True)

@@ -37,7 +37,8 @@ class Found:
     estimates: RowStore = field(default_factory=RowStore)
     """Rows of stamp, pose, covariance as bytes, and time of publication."""
     statuses: RowStore = field(default_factory=RowStore)
-    """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason."""
+    """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason, and whether the track was
+    lost before."""
     integrity: RowStore = field(default_factory=RowStore)
     """Rows of stamp, state, levels of attitude and position, their alert limits, and reason."""
     frames: RowStore = field(default_factory=RowStore)

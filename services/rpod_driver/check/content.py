@@ -39,7 +39,11 @@ def content(seen: Observations) -> CheckResult:
         names = {Reason.WRONG_SIZE: "wrong_size", Reason.WRONG_TYPE: "wrong_encoding"}
         faults = [names[reason]] if reason in names else []
         return fail(line, f"{len(refused)} frames cannot be read: {text}", *faults)
-    return ok(line, f"{len(seen.kept)} of {seen.frames} frames read")
+    text = f"{len(seen.kept)} of {seen.frames} frames read"
+    if seen.refused_beside:
+        why = Counter(text for _, text in seen.refused_beside).most_common(1)[0][0]
+        return note(line, f"{text}; {len(seen.refused_beside)} messages beside them cannot be read: {why}")
+    return ok(line, text)
 
 
 def frozen(seen: Observations) -> CheckResult:
@@ -217,6 +221,8 @@ def partial(seen: Observations) -> CheckResult:
         return unchecked(line, f"{len(seen.kept)} frames could be read, 4 are needed")
     if seen.kept[0].frame.images:
         cut: Sequence[float] = [_truncated_share(*pair) for pair in _pairs(seen)]
+        if not cut:
+            return unchecked(line, "no two successive frames could be read")
         cut_frames = sum(share > _ROWS_SHARE for share in cut)
     else:
         organised = [kept for kept in seen.kept if kept.raw.ndim == 3]

@@ -116,7 +116,7 @@ def _other_time(results: list[CheckResult]) -> str:
     """Return why frames cannot be compared with truth at their stamps; empty if they can."""
     for each in results:
         if each.line == "clock" and each.level is Level.FAIL:
-            off_s = max(-each.figures["least_age_s"], each.figures["least_age_s"])
+            off_s = abs(each.figures["least_age_s"])
             if off_s > _IMPLAUSIBLE * _PRIOR[0]:
                 return f"the stamps are {off_s:.1f} s off: correct the clock first"
     return ""

@@ -31,13 +31,11 @@ from rpod_schemas.messages import (
     read_status,
     read_transforms,
 )
-from rpod_schemas.rmw.cdr import peek_stamp
+from rpod_schemas.rmw.cdr import STAMP_END, peek_stamp
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import DIAGNOSTICS, ESTIMATE, STATUS, TF_STATIC, TRUTH, Topic
 from rpod_schemas.types import Camera, Diagnostic, EstimatorStatus, Float32Array, Odometry, SensorFrame
 
-STAMP_END = 12
-"""End of the encapsulation header and the stamp in a message's bytes."""
 _PAIR_NS = 700_000_000
 """Time from one kept pair of frames to the next."""
 _MOST_FRAMES = 120
@@ -109,6 +107,8 @@ class Observations:
     heard: list[Heard] = field(default_factory=list)
     kept: list[Kept] = field(default_factory=list)
     refused: list[tuple[Reason, str]] = field(default_factory=list)
+    refused_beside: list[tuple[Reason, str]] = field(default_factory=list)
+    """Messages that cannot be read on topics that are not the sensor's own, such as truth and mounts."""
     """Reasons why frames could not be read."""
     frames: int = 0
     """Number of complete frames."""
@@ -224,7 +224,9 @@ class Observer:
                 self._reader.learn(received.decode())
                 self.seen.infos.append((received.peer, self._reader.newest_info))
         except MessageRejectedError as error:
-            self.seen.refused.append((error.reason, f"{name}: {error.text}"))
+            own = name in self._parts or (self.info is not None and name == self.info.name)
+            refused = self.seen.refused if own else self.seen.refused_beside
+            refused.append((error.reason, f"{name}: {error.text}"))
 
     def take_tokens(self, tokens: Iterable[tuple[str, str, str]]) -> None:
         """Take topic, quality of service and session of publishers' tokens, of all nodes on the bus."""

@@ -81,16 +81,21 @@ def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
     """Check the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
     azimuth, elevation, returned = angles_of(raw)
     figures = {}
-    for name, seen_rad, stated_rad in (
-        ("azimuth", azimuth, np.broadcast_to(info.azimuth_rad, azimuth.shape)),
-        ("elevation", elevation, np.broadcast_to(info.elevation_rad[:, None], elevation.shape)),
+    for name, seen_rad, stated_rad, directions_rad in (
+        ("azimuth", azimuth, np.broadcast_to(info.azimuth_rad, azimuth.shape), info.azimuth_rad),
+        (
+            "elevation",
+            elevation,
+            np.broadcast_to(info.elevation_rad[:, None], elevation.shape),
+            info.elevation_rad,
+        ),
     ):
+        if directions_rad.size < 2:
+            continue  # one row or one column has no spacing
         stated, found = stated_rad[returned], seen_rad[returned]
         turned = np.angle(np.exp(1j * (found - stated)))
         slope = 1.0 + float(np.polyfit(stated - stated.mean(), turned, 1)[0]) if np.ptp(stated) else 1.0
-        step = float(
-            np.median(np.abs(np.diff(info.azimuth_rad if name == "azimuth" else info.elevation_rad)))
-        )
+        step = float(np.median(np.abs(np.diff(directions_rad))))
         figures[f"{name}_scale"] = slope
         figures[f"{name}_offset_steps"] = float(np.median(turned)) / step
         if slope < 0.0:
@@ -133,7 +138,7 @@ def instant(seen: Observations) -> CheckResult:
     """Check to which instant of a scan its stamp refers, by the times of its points."""
     line = "instant"
     scans, info = _scans(seen), seen.info
-    timed = [scan.time_s for scan in scans if scan.time_s is not None]
+    timed = [scan.time_s for scan in scans if scan.time_s is not None and np.isfinite(scan.time_s).any()]
     scan_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
     if not timed or not scan_s:
         return unchecked(line, "start or middle shows only against truth: give --target")

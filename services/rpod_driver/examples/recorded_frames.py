@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rpod_driver import main
+from rpod_driver.pauses import paused_until
 from rpod_schemas.types import Camera, PmdFrame
 
 
@@ -20,14 +21,14 @@ class RecordedFrames:
         """Open the file."""
         self._file = np.load(self._path)
 
-    def frames(self) -> Iterator[PmdFrame]:
+    def frames(self) -> Iterator[PmdFrame | None]:
         """Yield the frames at their pace, stamped as if taken now: an estimator refuses old ones."""
         stamps_ns, depths_m, amplitudes = (self._file[name] for name in ("stamp_ns", "depth_m", "amplitude"))
         fx, fy, cx, cy = self._file["camera"]
         camera = Camera(height=depths_m.shape[1], width=depths_m.shape[2], fx=fx, fy=fy, cx=cx, cy=cy)
         stamps_ns = stamps_ns - stamps_ns[0] + time.time_ns()
         for stamp_ns, depth_m, amplitude in zip(stamps_ns.tolist(), depths_m, amplitudes, strict=True):
-            time.sleep(max(0.0, (stamp_ns - time.time_ns()) * 1e-9))
+            yield from paused_until(time.monotonic() + (stamp_ns - time.time_ns()) * 1e-9)
             optical = {"stamp_ns": stamp_ns, "frame_id": "pmd_optical", "camera": camera}
             yield PmdFrame(depth_m=depth_m, amplitude=amplitude, **optical)
 

@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 
 _WAITING_PARTS = 512
 """Largest number of parts between the bus and the assembler; about 200 MB of images."""
+_MOST_REFUSED = 500
+"""Largest number of refused frames that wait for their status; further ones are counted as dropped."""
 _MOST_MOUNTS = 50
 """Largest number of mounts that are written to the log."""
 _CLOCK_LAG_S = 0.2
@@ -221,7 +223,10 @@ class Subscriptions:
         except MessageRejectedError as error:
             if leads:
                 self._note_arrival(sensor, received, stamp_ns)
-                self._refused.append(Arrived.unusable(sensor, stamp_ns, error, received.arrival_s))
+                if len(self._refused) < _MOST_REFUSED:
+                    self._refused.append(Arrived.unusable(sensor, stamp_ns, error, received.arrival_s))
+                else:
+                    self.health.drop(sensor, time.monotonic())
                 assembler.refuse(stamp_ns)
                 raise FrameRefusedError(error.reason, error.text) from error
             raise

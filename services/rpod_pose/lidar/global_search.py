@@ -90,8 +90,8 @@ class GlobalSearch:
         given = search.fine_aligned(T_sensor_target.rotation.as_matrix(), T_sensor_target.translation)
         poses = search.completed([given], siblings=1)
         least = poses[0].fit.log_likelihood + log(NEGLIGIBLE)
-        rivals = [pose for pose in poses if pose.fit.log_likelihood >= least]
-        if search.are_close(given, rivals).any():
+        likely = [pose for pose in poses if pose.fit.log_likelihood >= least]
+        if search.are_close(given, likely).any():
             return self._verified(whole, search, poses, 0)
         turn = np.degrees(Rotation.from_matrix(given.R.T @ poses[0].R).magnitude())
         registration = self._tracker.finish(whole, given.R, given.t)

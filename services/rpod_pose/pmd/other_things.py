@@ -165,7 +165,7 @@ def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDA
     return filled
 
 
-def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: np.uint16) -> Array:
+def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: float) -> Array:
     """Return the amplitudes of the outline's pixels without the light of what is beyond, (height, width).
 
     A pixel at the outline sees the target and what is behind it. Its range is between both, nearer to that of
@@ -186,7 +186,7 @@ def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: np.uint16)
     lit = np.where(ranged | ~np.isfinite(inner), lit, inner)
     covered = np.where(ranged, by_range, by_light)
     covered = np.where(np.isfinite(covered), covered, np.float32(0.5))
-    mixed = np.where(sides.touches, covered * lit + (1.0 - covered) * sky, float(sky))
+    mixed = np.where(sides.touches, covered * lit + (1.0 - covered) * sky, sky)
     return np.asarray(np.minimum(mixed, np.maximum(amplitude, sky))).astype(amplitude.dtype)
 
 
@@ -256,10 +256,10 @@ def _mean(image: Array, pixels: Float32Array) -> Float32Array:
     return np.where(count > 0.5, sums / np.maximum(count, 1.0), np.float32(np.nan))
 
 
-def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> np.uint16:
+def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> float:
     """Return the amplitude of a pixel that sees nothing: that of the dark pixels without depth."""
     assert frame.amplitude is not None  # noqa: S101 - the caller's condition
     most = DARK * float(np.median(frame.amplitude[kept])) if kept.any() else 1.0
     dark = frame.amplitude[~(frame.depth_m > 0.0) & (frame.amplitude < most) & (frame.amplitude > 0)]
     sky = float(np.median(dark)) if dark.size > LEAST_SKY * frame.depth_m.size else 1.0
-    return np.uint16(max(1.0, round(sky)))
+    return float(max(1, round(sky)))

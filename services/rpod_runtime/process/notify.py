@@ -69,7 +69,7 @@ class ServiceManager:
     def attend(self, stop: Event, most_s: float = inf) -> None:
         """Wait, in place of a main loop, until a service is stopped or a time is over; report as alive."""
         end_s = time.monotonic() + most_s
-        while not stop.wait(_TURN_S) and time.monotonic() < end_s:
+        while (left_s := end_s - time.monotonic()) > 0.0 and not stop.wait(min(left_s, _TURN_S)):
             self.alive()
 
     def _send(self, text: str) -> None:

@@ -30,14 +30,18 @@ from scipy.spatial.transform import Rotation
 
 from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
+from rpod_driver.check.content import partial
 from rpod_driver.check.geometry import Fitted, checked_mount, fitted
+from rpod_driver.check.observations import Kept, Observations
+from rpod_driver.check.setup import instant
 from rpod_driver.check.sightings import sightings_of
 from rpod_driver.host import error_line
 from rpod_runtime.sensors import CameraPublisher
+from rpod_schemas.errors import Reason
 from rpod_schemas.faults import BY_NAME, FAULTS, known_fault
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import TF_STATIC
-from rpod_schemas.types import Camera, Diagnostic, Health, PmdFrame
+from rpod_schemas.types import Camera, Diagnostic, Health, LidarInfo, LidarScan, PmdFrame
 
 SEEDS = range(int(os.environ.get("RPOD_FAULT_SEEDS", "1")))
 """Seeds of each fault; ten with RPOD_FAULT_SEEDS=10, as in docs/results/drivers.md."""
@@ -407,3 +411,43 @@ def test_stamps_that_are_seconds_off_are_not_compared_with_truth():
     assert at(results, "clock").faults == ("clock_behind",)
     for line in ("range", "mount_truth"):
         assert "correct the clock first" in at(results, line).text
+
+
+def kept_observations(kind, frames):
+    """Return observations of frames of which the ones between were not kept."""
+    seen = Observations(kind, kind, Options())
+    seen.kept = [Kept(number, frame, frame.range_image_m, "32FC1") for number, frame in frames]
+    return seen
+
+
+def test_frames_of_which_no_two_are_successive_are_not_checked_for_cuts():
+    camera = Camera(width=4, height=4, fx=4.0, fy=4.0, cx=1.5, cy=1.5)
+    frame = PmdFrame(
+        stamp_ns=1, frame_id="", depth_m=np.ones((4, 4), np.float32), amplitude=None, camera=camera
+    )
+    result = partial(kept_observations("pmd", [(number, frame) for number in (0, 8, 14, 22)]))
+    assert (result.level, result.text) == (Level.UNCHECKED, "no two successive frames could be read")
+
+
+def test_a_scan_without_times_does_not_hide_the_instant_of_the_others():
+    azimuth, elevation = np.linspace(-0.3, 0.3, 10), np.linspace(-0.2, 0.2, 8)
+    info = LidarInfo(azimuth_rad=azimuth, elevation_rad=elevation, scan_time_s=0.1, sigma_range_m=0.0)
+    points_m = np.ones((8, 10, 3), np.float32)
+    late = np.linspace(0.0, 0.1, 80, dtype=np.float32).reshape(8, 10)
+    scans = [
+        LidarScan(stamp_ns=number, frame_id="", points_m=points_m, time_s=time_s)
+        for number, time_s in enumerate((late, late, np.full((8, 10), np.nan, np.float32)))
+    ]
+    seen = kept_observations("lidar", enumerate(scans))
+    seen.infos = [(None, info)]
+    result = instant(seen)
+    assert (result.level, result.figures["middle_share"]) == (Level.FAIL, pytest.approx(0.5))
+
+
+def test_a_message_beside_the_sensors_own_that_cannot_be_read_is_no_fault_of_its_frames():
+    seen = watched("pmd", wall_frames(0, 1.0), INFO, latency_s=0.01)
+    before = at(judge(seen), "content")
+    seen.refused_beside.append((Reason.MALFORMED, "truth/odometry: 3 bytes"))
+    told = at(judge(seen), "content")
+    assert (before.level, told.level) == (Level.OK, Level.NOTE)
+    assert told.text == f"{before.text}; 1 messages beside them cannot be read: truth/odometry: 3 bytes"

@@ -84,6 +84,12 @@ def test_big_endian_pixels_are_read_as_they_are_meant():
     np.testing.assert_array_equal(messages.read_amplitude(through_the_wire(message)), [[1, 256]])
 
 
+def test_an_amplitude_that_is_not_measured_is_dark():
+    image = np.array([[np.nan, 2.5]], np.float32)
+    got = messages.read_amplitude(through_the_wire(messages.write_image(1, "c", image, "32FC1")))
+    np.testing.assert_array_equal(got, [[0.0, 2.5]])
+
+
 def image_message(**changes):
     message = messages.write_image(1, "c", np.ones((4, 6), np.float32), "32FC1")
     for name, value in changes.items():

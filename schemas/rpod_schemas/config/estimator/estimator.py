@@ -155,8 +155,8 @@ class NavigatorConfig(Config):
     """Number of frames after that of the acquisition that must verify its pose before TRACKING. Raise it if a
     wrong first pose costs more than a later one; 0 tracks from the first accepted pose."""
     silence_timeout_s: Positive = 2.5
-    """Longest time in which no sensor sends anything before the mode is COASTING, s. Set it above the longest
-    regular gap of the slowest sensor."""
+    """Time without any frame after which the prediction is published without one, s. The mode may then become
+    COASTING or LOST. Set it above the longest regular gap of the slowest sensor."""
     near_search_s: NonNegative = 3.0
     """Time after a loss in which only attitudes near the prediction are searched, s; after it all are. Lower
     it for targets that tumble fast, whose prediction is soon useless."""

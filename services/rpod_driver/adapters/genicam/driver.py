@@ -12,6 +12,7 @@ from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, 
 from rpod_driver.adapters.genicam.features import execute, read, write, write_all
 from rpod_driver.errors import DriverError
 from rpod_driver.gaps import GapCounter
+from rpod_driver.pauses import paused_until
 from rpod_driver.ports import Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
@@ -79,7 +80,7 @@ class GenicamCamera:
                 self.trigger()
             buffer = self._acquirer.try_fetch(timeout=_WAIT_S)
             if buffer is None:
-                self._missed += self._device.trigger != "none"
+                self._missed += software  # when a trigger by hardware is due is not known
                 yield None
                 continue
             try:
@@ -89,7 +90,7 @@ class GenicamCamera:
                 buffer.queue()
             yield frame
             if software:
-                time.sleep(max(0.0, started_s + 1.0 / self._device.trigger_rate_hz - time.monotonic()))
+                yield from paused_until(started_s + 1.0 / self._device.trigger_rate_hz)
 
     def trigger(self) -> None:
         """Ask for one frame by software. Raises ``FeatureError``."""
@@ -111,7 +112,7 @@ class GenicamCamera:
     def sync(self) -> SensorSync:
         """Return how frames are triggered and stamped."""
         told = {"trigger": self._device.trigger, "stamp_source": self._stamps.source}
-        missed = {"trigger_missed": self._missed} if self._device.trigger != "none" else {}
+        missed = {"trigger_missed": self._missed} if self._device.trigger == "software" else {}
         return SensorSync.model_validate(told | missed)
 
     def drops(self) -> Drops:

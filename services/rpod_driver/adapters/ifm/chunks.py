@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_driver.errors import RecordingError
+from rpod_schemas.messages import NANOSECONDS
 
 RADIAL_DISTANCE, AMPLITUDE, DISTANCE_NOISE, REFLECTIVITY = 100, 101, 105, 106
 CONFIDENCE, TOF_INFO = 300, 420
@@ -24,7 +25,6 @@ _START, _STOP, _TICKET_BYTES = b"star", b"stop", 4
 _HEADER, _STAMP, _STAMPED_BYTES = struct.Struct("<9I"), struct.Struct("<3I"), 48
 _PIXELS = {0: "u1", 1: "i1", 2: "<u2", 3: "<i2", 4: "<u4", 5: "<i4", 6: "<f4", 7: "<u8", 8: "<f8"}
 """NumPy's types by the pixel format (ifm3d's ``pixel_format``)."""
-_NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _chunk(content: bytes, at: int, source: str) -> tuple[Chunk, int]:
     stamp_ns, metadata = stamp_us * 1000, {}
     if header >= _STAMPED_BYTES:
         _, seconds, nanoseconds = _STAMP.unpack_from(content, at + _HEADER.size)
-        stamp_ns = seconds * _NANOSECONDS + nanoseconds
+        stamp_ns = seconds * NANOSECONDS + nanoseconds
         metadata = _json(content[at + _STAMPED_BYTES : at + header], kind, source)
     data = content[at + header : at + size]
     return Chunk(kind, width, height, pixels, stamp_ns, count, metadata, data), at + size

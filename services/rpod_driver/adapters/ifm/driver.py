@@ -15,6 +15,7 @@ from rpod_driver.adapters.ifm.frames import FrameMaker, IfmImages, images_of, mi
 from rpod_driver.adapters.ifm.settings import nested, scalars
 from rpod_driver.errors import DriverError, RecordingError
 from rpod_driver.gaps import GapCounter
+from rpod_driver.pauses import paused_until
 from rpod_driver.ports import Driver, Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
@@ -78,13 +79,13 @@ class RecordedIfm(_Head):
         """Begin to play."""
         self._begin()
 
-    def frames(self) -> Iterator[PmdFrame]:
+    def frames(self) -> Iterator[PmdFrame | None]:
         """Yield the frames at their rate. A frame that is played again has a later stamp."""
         begun_s, period_s = time.monotonic(), 1.0 / self._device.rate_hz
         first_ns = self._frames[0].stamp_ns
         total = len(self._frames) * self._device.repeat
         for number in range(total):
-            time.sleep(max(0.0, begun_s + number * period_s - time.monotonic()))
+            yield from paused_until(begun_s + number * period_s)
             images = self._frames[number % len(self._frames)]
             played_ns = first_ns + round(number * period_s * 1e9)
             yield self._maker.frame(images, self._stamps.utc_ns(played_ns))
@@ -120,9 +121,15 @@ class LiveIfm(_Head):
             ids.CONFIDENCE_IMAGE,
             ids.TOF_INFO,
         ]
+        try:
+            self._start(wanted)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, wanted: list[Any]) -> None:
         ready, _ = self._grabber.start(wanted).wait_for(10 * _WAIT_MS)
         if not ready:
-            self.close()
             raise DriverError(
                 f"the head at {self._device.ip}, {self._device.port}, does not start within "
                 f"{10 * _WAIT_MS / 1e3:g} s; check that its state is RUN and that no one else holds the port"

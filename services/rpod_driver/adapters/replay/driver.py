@@ -7,11 +7,10 @@ from typing import Any
 from rpod_driver.adapters.replay.bag import Bag
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.images import ImageFolder
+from rpod_driver.pauses import paused_until
 from rpod_runtime.sensor_data.end_watch import last_of
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, SensorInfo, SensorSync
-
-_NANOSECONDS = 1_000_000_000
-_POLL_S = 0.5
 
 
 def open_driver(config: ReplayConfig) -> "PlayedSensor":
@@ -45,10 +44,11 @@ class PlayedSensor:
                 step_ns = frame.stamp_ns - last_ns if last_ns is not None else step_ns
                 last_ns = frame.stamp_ns
                 due_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._device.speed)
-                yield from _until(due_ns + round(_after_s(frame, stated_s) * _NANOSECONDS))
+                left_s = (due_ns - time.time_ns()) / NANOSECONDS + _after_s(frame, stated_s)
+                yield from paused_until(time.monotonic() + left_s)
                 yield frame.model_copy(update={"stamp_ns": due_ns})
             if first_ns is not None and last_ns is not None:
-                length_ns = last_ns - first_ns + (step_ns or _NANOSECONDS)
+                length_ns = last_ns - first_ns + (step_ns or NANOSECONDS)
                 begin_ns += round(length_ns / self._device.speed)
 
     def close(self) -> None:
@@ -62,10 +62,3 @@ class PlayedSensor:
 def _after_s(frame: SensorFrame, stated_s: float) -> float:
     """Return the time from the stamp to the last measurement: no sensor sends a frame before it."""
     return max(0.0, last_of(frame, stated_s).after_s)
-
-
-def _until(due_ns: int) -> Iterator[None]:
-    while (left_s := (due_ns - time.time_ns()) / _NANOSECONDS) > 0:
-        time.sleep(min(left_s, _POLL_S))
-        if left_s > _POLL_S:
-            yield None

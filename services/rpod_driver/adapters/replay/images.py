@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from rpod_driver.adapters.replay.config import Images
 from rpod_driver.errors import RecordingError
 from rpod_geometry.lens import ray_cosines
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import PmdFrame
-
-_NANOSECONDS = 1_000_000_000
 
 
 class ImageFolder:
@@ -46,7 +45,7 @@ class ImageFolder:
             counts = self._image(depth, ("uint16",))
             metres = np.where(counts > 0, counts * self._factor, np.nan).astype(np.float32)
             yield PmdFrame(
-                stamp_ns=round(number / self._images.rate_hz * _NANOSECONDS),
+                stamp_ns=round(number / self._images.rate_hz * NANOSECONDS),
                 frame_id="",
                 depth_m=metres,
                 amplitude=None if amplitude is None else self._image(amplitude, ("uint8", "uint16")),

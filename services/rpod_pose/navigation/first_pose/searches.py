@@ -91,7 +91,7 @@ class Found:
 
     @classmethod
     def nothing(cls, reason: str) -> "Found":
-        """Return the result of a search that was not made."""
+        """Return the result of a search that found nothing, with the reason."""
         return cls(Acquisition(Registration.none(Source.NONE, reason)))
 
     @classmethod

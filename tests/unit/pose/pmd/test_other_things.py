@@ -96,3 +96,15 @@ def test_the_noise_of_a_range_follows_from_its_light_and_from_its_neighbours():
     image = PmdFrames().image(laboratory.frame, fine=True)
     np.testing.assert_allclose(image.sigma_m, sigma_m, rtol=0.15)
     assert PmdFrames().image(laboratory.frame, fine=False).sigma_m is None
+
+
+def test_amplitudes_may_be_of_any_size():
+    lab = Laboratory()
+    depth_m = lab.depth_m.copy()
+    depth_m[30:] = np.nan
+    bright = lab.amplitude.astype(np.float32) * 1e5
+    bright[30:] = 1e6
+    frame = lab.frame.model_copy(update={"depth_m": depth_m, "amplitude": bright})
+    touching = np.zeros((ROWS, COLUMNS), bool)
+    separated = PmdFrames().separated(frame, lab.labels, touching)
+    assert np.isfinite(separated.amplitude).all()

@@ -1,0 +1,15 @@
+"""Waits of drivers between two frames, no longer than their port allows without an item."""
+
+import time
+from collections.abc import Iterator
+
+_TURN_S = 0.5
+"""Longest sleep. The port asks for an item at least once a second, so that the host can stop a driver."""
+
+
+def paused_until(due_s: float) -> Iterator[None]:
+    """Sleep until a time of the monotonic clock, s; yield None twice a second meanwhile."""
+    while (left_s := due_s - time.monotonic()) > 0.0:
+        time.sleep(min(left_s, _TURN_S))
+        if left_s > _TURN_S:
+            yield None
