@@ -8,6 +8,7 @@ from threading import Event
 from typing import Any
 
 from rpod.errors import failed
+from rpod.log_options import check_part
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log
@@ -34,8 +35,7 @@ def view_log(
     try:
         document = {"memory_bytes": _LOG_MEMORY_BYTES} | (read_document(config) if config else {}) | changes
         checked = check(ViewConfig, document, source=config or "rpod view")
-        if end_s is not None and end_s <= start_s:
-            raise ConfigurationError("--to", "", "is not after --from; give a later time")
+        check_part(start_s, end_s)
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
         return failed("view", error)

@@ -1,8 +1,20 @@
 """Options that the verbs that read logs share."""
 
+from math import inf
 from typing import Annotated
 
 import typer
+
+from rpod_schemas.errors import ConfigurationError
+
+
+def check_part(start_s: float, end_s: float | None) -> None:
+    """Check the values of ``--from`` and ``--to``. Raises ``ConfigurationError``."""
+    for name, time_s in (("--from", start_s), ("--to", end_s)):
+        if time_s is not None and not 0.0 <= time_s < inf:
+            raise ConfigurationError(name, "", f"is {time_s:g}; give seconds from the log's beginning")
+    if end_s is not None and end_s <= start_s:
+        raise ConfigurationError("--to", "", "is not after --from; give a later time")
 
 
 def _lift(context: typer.Context, value: bool) -> None:

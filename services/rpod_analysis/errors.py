@@ -84,6 +84,29 @@ class BeyondEndError(AnalysisError):
         )
 
 
+class NoSensorDataError(AnalysisError):
+    """The log has no frames of the configured sensors."""
+
+    def __init__(self, path: Path, wanted: Sequence[str], others: Sequence[str]) -> None:
+        held = f"it holds {', '.join(others)}" if others else "it holds no images and no points"
+        super().__init__(
+            f"{path}: holds no message of {', '.join(wanted)}, where the configured sensors have their "
+            f"frames; {held}; name the topics of this log under sensors.0.source.topics, with --config"
+        )
+
+
+class NothingReplayedError(AnalysisError):
+    """No frame of a log was replayed."""
+
+    def __init__(self, path: Path, *, as_live: bool) -> None:
+        why = (
+            "it has no statuses of a run that used its frames; leave out --as-live"
+            if as_live
+            else "none of its frames is complete, in the time from --from to --to"
+        )
+        super().__init__(f"{path}: no frame was replayed: {why}")
+
+
 class NoEstimatesError(AnalysisError):
     """The log contains no estimates."""
 

@@ -223,7 +223,7 @@ class FrameReader:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
         try:
-            setup = Setup(mount, known.reader.newest_info)
+            setup = Setup(mount, getattr(known.reader, "stated_info", known.reader.newest_info))
             self._setups.check(sensor, setup, source=leading.peer, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(leading, rejection) from rejection

@@ -211,6 +211,11 @@ class LidarReader:
             self._whole, self._front = pattern, None if pattern is None else ahead(pattern)
         return self._front
 
+    @property
+    def stated_info(self) -> LidarInfo | None:
+        """Info that the LIDAR published; None if the pattern is inferred, which changes as more is seen."""
+        return None if self._info is None else self.newest_info
+
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""
         info = read_lidar_info(message)

@@ -61,7 +61,8 @@ class SourceConfig(Config):
     millimetres, as ROS has it (REP 118)."""
     axes: Literal["boresight", "forward"] = "boresight"
     """Axes of the sensor's frame and points: x right, y down, z along the boresight; or x forward, y left, z
-    up (REP 103), as scanners with a turning head have them. The mount is that of the frame as it is."""
+    up (REP 103), as scanners with a turning head have them. The mount is that of the frame as it is. Images
+    have no such axes: of a camera this changes the meaning of the mount alone."""
     saturated_amplitude: Positive | None = None
     """Amplitude from which a pixel is saturated. If left out, it is recognised: by the encoding's largest
     value, and by a frame's largest value where many pixels have it."""

@@ -5,6 +5,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from threading import Event
 
@@ -14,7 +15,9 @@ from rich.table import Table
 
 from rpod import __version__
 from rpod.errors import failed
+from rpod.log_options import check_part
 from rpod_analysis import AnalysisError, Log, open_log
+from rpod_analysis.errors import NothingReplayedError
 from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
@@ -87,10 +90,9 @@ def _service(options: BusOptions) -> ServiceConfig:
 
 
 def _check_playback(playback: Playback) -> None:
-    if not playback.speed > 0.0:
+    if not 0.0 < playback.speed < inf:
         raise ConfigurationError("--speed", "", "is not a number above 0; give 1 for the recorded speed")
-    if playback.end_s is not None and playback.end_s <= playback.start_s:
-        raise ConfigurationError("--to", "", "is not after --from; give a later time")
+    check_part(playback.start_s, playback.end_s)
 
 
 def _print_played(played: Played, *, as_json: bool) -> None:
@@ -153,6 +155,8 @@ def _replay(
         start_s=start_s,
         end_s=end_s,
     )
+    if not replayed.frames:
+        raise NothingReplayedError(opened.paths[0], as_live=as_live)
     compared = compare(opened, replayed)
     return ReplayReport(
         log=str(opened.paths[0]),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from rpod_analysis.errors import CannotWriteError, NoEstimatorError
+from rpod_analysis.errors import CannotWriteError, NoEstimatorError, NoSensorDataError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.stamp_check import StampCheck
@@ -124,6 +124,7 @@ def replay(
     recorded = RecordedSearches() if as_live else None
     estimator = Estimator(config, target, recorded.of if recorded else None)
     reader = FrameReader(config.sensors)
+    _check_frames(log, reader)
     old = estimate_prefix(log)
     copied, status_topic = _copied(log, old), STATUS.under(old).name
     stamps, holders = StampCheck(log), LoggedHolders(log, reader.parts)
@@ -177,6 +178,16 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
             yield output
     for output, _ in feed.outputs(frames.rest()):
         yield output
+
+
+def _check_frames(log: Log, reader: FrameReader) -> None:
+    """Check that a log has frames of the configured sensors. Raises ``NoSensorDataError``."""
+    wanted = [name for name, (sensor, part) in reader.parts.items() if part == reader.leading[sensor]]
+    counts = {name: info.count for name, info in log.topics.items()}
+    if not any(counts.get(name) for name in wanted):
+        types = {topic.type for topic in reader.streams}
+        others = [name for name, info in log.topics.items() if info.count and info.type in types]
+        raise NoSensorDataError(log.paths[0], sorted(wanted), sorted(others))
 
 
 def _copied(log: Log, prefix: str) -> set[str]:

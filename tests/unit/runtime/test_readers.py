@@ -188,6 +188,21 @@ def test_of_a_turning_head_only_what_lies_ahead_is_used():
     np.testing.assert_allclose(reader.newest_info.azimuth_rad, seen, atol=1e-3)
 
 
+def test_a_pattern_that_is_inferred_is_not_stated_by_the_lidar():
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0)))
+    rays = np.stack((np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth)), axis=-1)
+    cloud = write_points(1, "lidar", {name: 5.0 * rays[..., n] for n, name in enumerate("xyz")})
+    reader = LidarReader()
+    reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    assert reader.newest_info is not None
+    assert reader.stated_info is None
+    info = LidarInfo(
+        azimuth_rad=azimuth[0], elevation_rad=elevation[:, 0], scan_time_s=0.1, sigma_range_m=0.02
+    )
+    reader.learn(write_lidar_info(1, "lidar", info))
+    assert reader.stated_info is reader.newest_info
+
+
 def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog):
     azimuth, elevation = np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0))
     el, az = np.meshgrid(elevation, azimuth, indexing="ij")

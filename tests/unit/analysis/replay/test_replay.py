@@ -11,8 +11,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approach, see_depth
 
+from rpod.logs.replay import navigator_command
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import compare, configured_estimator, replay
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import CONFIGURATION, REPLAY
 from rpod_schemas.messages import read_integrity
@@ -210,6 +212,28 @@ def test_a_log_is_never_written_over_itself(log_path):
     with open_log(log_path) as log, pytest.raises(AnalysisError, match="is the log itself"):
         replay(log, CONFIG, out=log_path)
     assert log_path.read_bytes() == before
+
+
+def test_a_log_without_frames_of_the_sensors_is_refused_with_the_topics_that_it_has(log_path, tmp_path):
+    other = CONFIG.model_copy(update={"sensors": (PmdInput(name="front"),)})
+    reason = "no message of front/depth/image_raw, .* it holds .*pmd/depth/image_raw.*; name the topics"
+    with open_log(log_path) as log, pytest.raises(AnalysisError, match=reason):
+        replay(log, other, out=tmp_path / "new.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_replay_without_any_frame_fails(log_path, tmp_path, capsys):
+    given = {"config": None, "as_live": False, "out": tmp_path / "new.mcap", "as_json": True}
+    path = with_configuration(log_path, tmp_path / "run.mcap", estimator=CONFIG.model_dump(mode="json"))
+    assert navigator_command([path], start_s=0.0, end_s=0.001, **given) == EXIT_FAILURE
+    assert "no frame was replayed: none of its frames is complete" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("time_s", [float("nan"), float("inf"), -5.0])
+def test_a_time_that_no_log_has_is_refused(log_path, time_s, tmp_path, capsys):
+    given = {"config": None, "as_live": False, "out": tmp_path / "new.mcap", "as_json": True}
+    assert navigator_command([log_path], start_s=time_s, end_s=None, **given) == EXIT_USAGE
+    assert f"--from: is {time_s:g}; give seconds" in capsys.readouterr().err
 
 
 def test_a_target_that_fails_leaves_no_file(log_path, tmp_path):
