@@ -123,9 +123,7 @@ def replay(
     replaced, target = new.exists(), load_target(config.target)
     recorded = RecordedSearches() if as_live else None
     estimator = Estimator(config, target, recorded.of if recorded else None)
-    reader = FrameReader(config.sensors)
-    _check_frames(log, reader)
-    old = estimate_prefix(log)
+    reader, old = _reader_of(log, config), estimate_prefix(log)
     copied, status_topic = _copied(log, old), STATUS.under(old).name
     stamps, holders = StampCheck(log), LoggedHolders(log, reader.parts)
     frames = (
@@ -180,14 +178,16 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
         yield output
 
 
-def _check_frames(log: Log, reader: FrameReader) -> None:
-    """Check that a log has frames of the configured sensors. Raises ``NoSensorDataError``."""
+def _reader_of(log: Log, config: EstimatorConfig) -> FrameReader:
+    """Return the reader of the sensors. Raises ``NoSensorDataError``: the log has no frames of them."""
+    reader = FrameReader(config.sensors)
     wanted = [name for name, (sensor, part) in reader.parts.items() if part == reader.leading[sensor]]
     counts = {name: info.count for name, info in log.topics.items()}
     if not any(counts.get(name) for name in wanted):
         types = {topic.type for topic in reader.streams}
         others = [name for name, info in log.topics.items() if info.count and info.type in types]
         raise NoSensorDataError(log.paths[0], sorted(wanted), sorted(others))
+    return reader
 
 
 def _copied(log: Log, prefix: str) -> set[str]:
