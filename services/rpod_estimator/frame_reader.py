@@ -32,6 +32,8 @@ from rpod_schemas.types import Camera, SensorFrame, SensorInfo
 
 _IN_TIME = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED})
 """Reasons to refuse a frame that came in time and holds no measurement."""
+_MOST_DARK = 200
+"""Number of measured pixels up to which an image of zeros beside them may be right: few, faint ones."""
 FROZEN_REPEATS = 2
 """Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
 A driver may send one frame twice."""
@@ -296,10 +298,17 @@ def _shows_something(data: SensorFrame) -> bool:
 def _defect(data: SensorFrame) -> str:
     """Return which image beside the leading one has one value in all pixels, so that it is no measurement.
 
-    An image of zeros may be a measurement: the target may be too faint for the encoding.
+    A few zeros may be a measurement: the target may be too faint for the encoding.
     """
     for image in data.images[1:]:
         first = image.values.flat[0]
-        if first > 0 and (image.values[0] == first).all() and (image.values == first).all():
-            return f"all pixels of its {image.title} are {first}; correct its driver, or leave that topic out"
+        if not (image.values[0] == first).all() or not (image.values == first).all():
+            continue
+        told = f"all pixels of its {image.title} are {first}"
+        if first > 0:
+            return f"{told}; correct its driver, or leave that topic out"
+        leading = data.images[0].values
+        measured = int(np.count_nonzero(np.isfinite(leading) & (leading > 0)))
+        if measured > _MOST_DARK:
+            return f"{told} although {measured} pixels have a range; correct its driver, or expose longer"
     return ""

@@ -27,11 +27,14 @@ ZENOH_ID = r"^[0-9a-f]{1,32}$"
 """Pattern of an identity of a Zenoh session."""
 NAMESPACE = r"^([A-Za-z0-9_]+(/[A-Za-z0-9_]+)*)?$"
 """Pattern of the namespace of a ROS 2 node, without the leading slash."""
+BUS_NAMESPACE = r"^([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*)?$"
+"""Pattern of the namespace of a facility on the bus."""
 TOPIC = r"^/?[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$"
 """Pattern of a topic's name."""
 _PATTERNS = {
     _NAME: "needs a letter, then letters, digits, '_' or '-'",
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
+    BUS_NAMESPACE: "needs names that begin with a letter, with '/' between two, as lab/north",
     NAMESPACE: "needs names of letters, digits and '_' with '/' between two, as robot1/camera",
     TOPIC: "needs names of letters, digits, '_' or '-' with '/' between two, as /camera/depth/image_raw",
     ZENOH_ID: "needs 1 to 32 digits from 0 to 9 and a to f, such as e57a7e",
@@ -46,6 +49,8 @@ _FORMS = {
     "model_attributes_type": _NAMED_FIELDS,
 }
 """Form that a field needs, by Pydantic's name of the error for any other form."""
+_OF_UNIONS = ("constrained-", "function-")
+"""Beginnings of Pydantic's names for types in a place that are no fields."""
 _UNKNOWN = "extra_forbidden"
 """Pydantic's name of the error that a field is not known."""
 _MOST_NAMED = 3
@@ -183,7 +188,8 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
 
 
 def _place(location: Sequence[int | str]) -> str:
-    return ".".join(str(part) for part in location)
+    """Return a field's place without Pydantic's names for the members of a union of plain types."""
+    return ".".join(str(part) for part in location if not str(part).startswith(_OF_UNIONS))
 
 
 def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str:
@@ -202,7 +208,9 @@ def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str
         reason = f"is {value!r}; {_PATTERNS.get(told.get('pattern', ''), reason)}"
     elif problem["type"] in _FORMS:
         reason = f"is {reprlib.repr(value)}; it must be {_FORMS[problem['type']]}"
-    elif should and isinstance(value, bool | int | float | str):
+    elif problem["type"] == "too_short":
+        reason = f"has {told['actual_length']} items; it needs {told['min_length']} at least"
+    elif should:
         reason = f"is {reprlib.repr(value)}; it must {needs}"
     return reason.removeprefix("Value error, ")
 

@@ -1,12 +1,15 @@
 """Mount of a sensor, as ``rpod calibrate mount`` finds it; drivers and the estimator take its file."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
+from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import Matrix6
+from rpod_schemas.bounds import MOUNT_M
 from rpod_schemas.config.base import Config, NonNegative, in_place, load, write
 from rpod_schemas.poses import Pose, make_pose
 
@@ -57,5 +60,13 @@ def _read(value: Any) -> Any:
     return in_place(value, lambda path: load(MountCalibration, path).T_chaser_sensor)
 
 
-Mount = Annotated[Pose, BeforeValidator(_read)]
+def _near(pose: RigidTransform) -> RigidTransform:
+    _REACH_M.check(float(np.linalg.norm(pose.translation)))
+    return pose
+
+
+_REACH_M = replace(MOUNT_M, remedy="translation_m is in metres")
+MountPose = Annotated[Pose, AfterValidator(_near)]
+"""A mount, written inline."""
+Mount = Annotated[MountPose, BeforeValidator(_read)]
 """A mount, written inline or as the path of a file of ``rpod calibrate mount``."""

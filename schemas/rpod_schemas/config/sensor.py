@@ -17,7 +17,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.config.mount_calibration import Mount
+from rpod_schemas.config.mount_calibration import Mount, MountPose
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import Pose, make_pose
@@ -45,7 +45,7 @@ class EmulatedSensor(Kinded):
     """Name of the sensor: prefix of its topics."""
     rate_hz: Positive
     """Number of frames per second."""
-    T_chaser_sensor: Pose = Field(default_factory=make_pose)
+    T_chaser_sensor: MountPose = Field(default_factory=make_pose)
     """Mount: pose of the sensor's (optical) frame in the chaser."""
 
     stated_T_chaser_sensor: Pose | None = None

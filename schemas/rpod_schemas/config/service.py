@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import ENDPOINT, LIVE, Config, Name, Positive
+from rpod_schemas.config.base import BUS_NAMESPACE, ENDPOINT, LIVE, Config, Name, Positive
 from rpod_schemas.config.facility.link import Link, LinkConfig
 from rpod_schemas.topics import Namespace
 
@@ -36,7 +36,7 @@ class BusConfig(Config):
     """Zenoh endpoint of the router."""
     domain: int = Field(default=0, ge=0, le=232)
     """ROS domain."""
-    namespace: str = Field(default="", pattern=r"^([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*)?$")
+    namespace: str = Field(default="", pattern=BUS_NAMESPACE)
     """ROS namespace without slashes at its ends; each target needs its own."""
     connect_timeout_s: Positive = 5.0
     """Longest time to try to reach the router, s."""

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rpod_estimator.frame_reader import _defect
 from rpod_estimator.inputs.book import Loss
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_pose.navigation.state import Output
@@ -50,6 +51,7 @@ from rpod_schemas.types import (
     Health,
     LidarInfo,
     Mode,
+    PmdFrame,
     PmdInfo,
     SensorSync,
 )
@@ -198,6 +200,20 @@ def test_an_amplitude_that_is_the_same_everywhere_is_a_doubt_and_no_refusal():
     (arrived,) = bench.arrived()
     assert arrived.measurement is not None
     assert arrived.defect.startswith("all pixels of its amplitude are")
+
+
+def test_an_amplitude_of_zeros_is_a_doubt_where_many_pixels_have_a_range():
+    def defect_of(measured: int) -> str:
+        depth_m = np.full((30, 40), np.nan, np.float32)
+        depth_m.flat[:measured] = 3.0
+        camera = CAMERA.model_copy(update={"width": 40, "height": 30})
+        dark = np.zeros((30, 40), np.uint16)
+        return _defect(PmdFrame(stamp_ns=1, frame_id="c", depth_m=depth_m, amplitude=dark, camera=camera))
+
+    assert defect_of(200) == ""
+    assert defect_of(300).endswith(
+        "are 0 although 300 pixels have a range; correct its driver, or expose longer"
+    )
 
 
 def test_scans_without_any_return_are_alike_and_not_frozen():

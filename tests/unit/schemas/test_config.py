@@ -5,6 +5,7 @@ import pytest
 from pydantic import Field, ValidationError
 
 from rpod_schemas.config.base import Config, Positive, check, load, read_document
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
@@ -77,8 +78,17 @@ def test_a_wrong_item_is_one_error_and_the_list_is_not_called_too_short():
 
     with pytest.raises(ConfigurationError, match=r"items\.0: .*greater than 0$"):
         check(Listed, {"items": [-1]}, source="x")
-    with pytest.raises(ConfigurationError, match=r"items: .*at least 1 item"):
+    with pytest.raises(ConfigurationError, match=r"items: has 0 items; it needs 1 at least"):
         check(Listed, {"items": []}, source="x")
+
+
+def test_a_mount_in_millimetres_and_a_namespace_with_slashes_at_its_ends_are_told_in_words():
+    mount = {"translation_m": [120.0, 300.0, 0.0]}
+    far = r"sensors\.0\.T_chaser_sensor: is 323.11, needs 0 to 200 m .*; translation_m is in metres"
+    with pytest.raises(ConfigurationError, match=far):
+        check(EstimatorConfig, {"sensors": [{"kind": "pmd", "T_chaser_sensor": mount}]}, source="x")
+    with pytest.raises(ConfigurationError, match="needs names that begin with a letter"):
+        check(EstimatorConfig, {"sensors": [{"kind": "pmd"}], "bus": {"namespace": "/a/"}}, source="x")
 
 
 def test_several_errors_are_counted():

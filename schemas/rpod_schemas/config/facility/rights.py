@@ -5,7 +5,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Config, Name
+from rpod_schemas.config.base import BUS_NAMESPACE, Config, Name
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.topics import Namespace
 
@@ -48,7 +48,7 @@ class RightsConfig(Config):
 
     domain: int = Field(default=0, ge=0, le=232)
     """ROS domain."""
-    namespace: str = Field(default="", pattern=r"^([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*)?$")
+    namespace: str = Field(default="", pattern=BUS_NAMESPACE)
     """ROS namespace without slashes at its ends."""
     members: dict[Name, MemberConfig]
     """Members by the name of their certificates, which is the instance's name on the bus."""
