@@ -3,6 +3,7 @@
 import json
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import inf
@@ -29,10 +30,12 @@ from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.replay import ReplayReport, Side
+from rpod_schemas.rmw.cdr import NANOSECONDS
 
 log = logging.getLogger(__name__)
 
 _INSTANCE = "replay"
+_TOLD_EVERY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def navigator_command(
                 out=out,
                 start_s=start_s,
                 end_s=end_s,
+                follow=_Progress(opened, quiet=as_json),
             )
     except (ConfigurationError, AnalysisError) as error:
         return failed("replay", error)
@@ -138,6 +142,20 @@ def navigator_command(
     return EXIT_OK
 
 
+class _Progress:
+    """Tells every five seconds how much of a log is replayed."""
+
+    def __init__(self, opened: Log, *, quiet: bool) -> None:
+        self._length_s, self._quiet = (opened.end_ns - opened.start_ns) / NANOSECONDS, quiet
+        self._told_s = time.monotonic()
+
+    def __call__(self, time_s: float) -> None:
+        now_s = time.monotonic()
+        if not self._quiet and now_s - self._told_s > _TOLD_EVERY_S:
+            self._told_s = now_s
+            print(f"{time_s:.1f} of {self._length_s:.1f} s of the log are replayed", file=sys.stderr)
+
+
 def _replay(
     opened: Log,
     config: EstimatorConfig,
@@ -146,6 +164,7 @@ def _replay(
     out: Path | None,
     start_s: float,
     end_s: float | None,
+    follow: Callable[[float], object],
 ) -> ReplayReport:
     replayed = replay(
         opened,
@@ -154,6 +173,7 @@ def _replay(
         as_live=as_live,
         start_s=start_s,
         end_s=end_s,
+        follow=follow,
     )
     if not replayed.frames:
         raise NothingReplayedError(opened.paths[0], as_live=as_live)

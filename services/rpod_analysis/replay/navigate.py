@@ -6,7 +6,7 @@ steps, as in the daemon, so that silence is detected at the same stamp.
 
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -31,6 +31,7 @@ from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
 from rpod_schemas.errors import Reason
+from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_schemas.topics import (
     CONTRADICTION,
     ESTIMATES,
@@ -102,6 +103,7 @@ def replay(
     as_live: bool = False,
     start_s: float = 0.0,
     end_s: float | None = None,
+    follow: Callable[[float], object] = lambda _: None,
 ) -> Replayed:
     """Run the estimator again on a log's sensor data.
 
@@ -112,6 +114,7 @@ def replay(
         as_live: whether to use only the frames that the live run used, in its order.
         start_s: beginning, from the beginning of the log; earlier latched messages are used too.
         end_s: end, from the beginning of the log.
+        follow: called with the time from the beginning of the log, s, after each message.
 
     Raises:
         TargetError: the configured target cannot be loaded.
@@ -125,12 +128,8 @@ def replay(
     estimator = Estimator(config, target, recorded.of if recorded else None)
     reader, old = _reader_of(log, config), estimate_prefix(log)
     copied, status_topic = _copied(log, old), STATUS.under(old).name
-    stamps, holders = StampCheck(log), LoggedHolders(log, reader.parts)
-    frames = (
-        FramesAsLive(reader, stamps, holders, status_topic=status_topic)
-        if as_live
-        else Frames(reader, stamps, holders)
-    )
+    used = StampCheck(log), (holders := LoggedHolders(log, reader.parts))
+    frames = FramesAsLive(reader, *used, status_topic=status_topic) if as_live else Frames(reader, *used)
     inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
     span_ns = _span_ns(log, start_s=start_s, end_s=end_s)
     told = LoggedResets.of(log, status_topic)
@@ -141,6 +140,7 @@ def replay(
                 if logged.topic in copied:
                     written.copy(logged)
                 written.add(feed.checked(frames.take(logged)), arrival_ns=logged.log_ns)
+                follow((logged.log_ns - log.start_ns) / NANOSECONDS)
             written.add(feed.checked(frames.rest()), arrival_ns=written.last_ns)
     except OSError as error:
         raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
