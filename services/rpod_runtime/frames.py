@@ -17,6 +17,7 @@ from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_runtime.sensor_data.empty_lines import EmptyLines
+from rpod_runtime.sensor_data.exposure_watch import ExposureWatch
 from rpod_runtime.sensor_data.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
@@ -98,6 +99,12 @@ class PmdReader:
         self.newest_info: PmdInfo | None = None
         self._source = source
         self._cosines: tuple[bytes, Float32Array] | None = None
+        self._exposures = ExposureWatch()
+
+    @property
+    def inconsistency(self) -> str:
+        """How the images of the camera contradict each other; empty if they do not."""
+        return self._exposures.text
 
     def learn(self, message: Any) -> None:
         """Store the latched info."""
@@ -125,7 +132,7 @@ class PmdReader:
         if saturated is not None:
             depth_m = np.where(saturated, np.float32(np.nan), depth_m)
             depth_m.setflags(write=False)
-        return PmdFrame(
+        read = PmdFrame(
             stamp_ns=frame.stamp_ns,
             frame_id=frame_id,
             depth_m=depth_m,
@@ -134,6 +141,8 @@ class PmdReader:
             info=self.newest_info,
             saturated=saturated,
         )
+        self._exposures.take(read)
+        return read
 
     def _along_boresight(self, received: Received, camera: Camera, range_m: Float32Array) -> Float32Array:
         """Return the z-depth of radial distances."""

@@ -176,6 +176,14 @@ FAULTS: tuple[Fault, ...] = (
         in_lockstep=True,
     ),
     Fault(
+        "amplitude_lags",
+        "the amplitude is of the exposure before that of the depth: a driver mixes up its buffers",
+        "exposure",
+        f"{_DRIVER} send images of one exposure, or leave the amplitude out of source.topics",
+        kinds=_CAMERA,
+        in_lockstep=True,
+    ),
+    Fault(
         "zeros_for_none",
         "pixels without depth are 0 instead of NaN in 32FC1",
         "values",

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from rpod_driver.check.observations import Kept, Observations, middle_m
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.sensor_data.empty_lines import EmptyLines
+from rpod_runtime.sensor_data.exposure_watch import LEAST_VOTES, summed, votes
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
-from rpod_schemas.types import LidarScan
+from rpod_schemas.types import LidarScan, PmdFrame
 
 _NEAR_M = 0.01
 _SATURATED_SHARE = 0.1
@@ -178,6 +179,31 @@ def saturation(seen: Observations) -> CheckResult:
     if share > _SATURATED_SHARE:
         return fail(line, text, "saturation", saturated_share=share)
     return ok(line, text, saturated_share=share)
+
+
+def exposure(seen: Observations) -> CheckResult:
+    """Check whether depth and amplitude are of one exposure, where outlines move."""
+    line = "exposure"
+    total = summed([votes(*pair) for pair in _depth_pairs(seen)])
+    if not total.suffice:
+        count = total.before + total.now
+        text = f"an outline has passed {count} pixels with amplitude, {LEAST_VOTES} are needed"
+        return unchecked(line, f"{text}: let the target or the sensor move")
+    share = total.behind_share
+    text = f"{share:.0%} of the pixels that an outline has passed show the frame before"
+    if total.is_behind:
+        return fail(line, text, "amplitude_lags", behind_share=share)
+    return ok(line, text, behind_share=share)
+
+
+def _depth_pairs(seen: Observations) -> Iterator[tuple[PmdFrame, PmdFrame]]:
+    """Yield successive frames of one size, the later one with an amplitude."""
+    for before, after in pairwise(seen.kept):
+        one, two = before.frame, after.frame
+        if after.number != before.number + 1 or not (isinstance(one, PmdFrame) and isinstance(two, PmdFrame)):
+            continue
+        if two.amplitude is not None and one.depth_m.shape == two.depth_m.shape:
+            yield one, two
 
 
 def values(seen: Observations) -> CheckResult:

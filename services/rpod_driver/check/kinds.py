@@ -24,7 +24,7 @@ class KindChecks:
 
 LIDAR_CHECKS = KindChecks((setup.grid, setup.axes, setup.point_times))
 PMD_CHECKS = KindChecks(
-    (setup.mirrored, content.values, content.saturation, plane.depth_model, setup.lens),
+    (setup.mirrored, content.values, content.saturation, content.exposure, plane.depth_model, setup.lens),
     farthest_m=100.0,
     why="no camera with a lamp sees farther",
 )

@@ -333,11 +333,29 @@ class PointTimeUnit(Content):
         return with_points(outgoing, lambda fields: fields | {"t": fields["t"] * np.float32(0.01)})
 
 
+class AmplitudeLags(Injection):
+    """The amplitude of the frame before, under the stamp of the depth."""
+
+    fault = "amplitude_lags"
+
+    def __init__(self, kind: str, seed: int) -> None:
+        super().__init__(kind, seed)
+        self._held: Outgoing | None = None
+
+    def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
+        """Return the earlier amplitude in place of this one; the first one as it is."""
+        if outgoing.part != "amplitude":
+            return [outgoing]
+        held, self._held = self._held or outgoing, outgoing
+        return [stamped(held, outgoing.stamp_ns)]
+
+
 INJECTIONS: dict[str, type[Injection]] = {
     each.fault: each
     for each in (
         Dropout, Glints, Blackout, Partial, Frozen, Saturation, ZerosForNone, Scaled, Biased, RadialDepth,
         Mirrored, Transposed, ForwardAxes, WrongEncoding, WrongSize, NoPointTimes, PointTimeUnit,
+        AmplitudeLags,
     )
 }  # fmt: skip
 """Injections of this module by the fault's name."""
