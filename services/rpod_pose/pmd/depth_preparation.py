@@ -19,7 +19,6 @@ greatest distance, which it does not state.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -29,6 +28,7 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
+from rpod_pose.pmd.depth_view import rays_of
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
@@ -307,22 +307,11 @@ def _cosines_of(camera: Camera) -> Float32Array | None:
 
 
 def _rays_of(camera: Camera) -> RayGrid | None:
-    """Return the rays of all pixels in single precision; None if the distortion cannot be inverted."""
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-    return _rays((camera.width, camera.height), intrinsics, tuple(camera.distortion))
-
-
-@lru_cache(maxsize=8)
-def _rays(
-    size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...]
-) -> RayGrid | None:
-    (width, height), (fx, fy, cx, cy) = size, intrinsics
-    if any(distortion[LENS_COEFFICIENTS:]):
+    """Return the rays of all pixels; None if the distortion cannot be inverted."""
+    if camera.distortion[LENS_COEFFICIENTS:].any():
         return None
-    lens = np.array(distortion[:LENS_COEFFICIENTS])
-    camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
     try:
-        return RayGrid.pinhole(camera).in_single_precision()
+        return rays_of(camera)
     except DistortionError:
         return None
 

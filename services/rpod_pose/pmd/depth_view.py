@@ -68,7 +68,7 @@ class DepthView:
 
     def rays(self, per_px: int) -> RayGrid:
         """Return ``per_px`` x ``per_px`` rays for each pixel of the image, in single precision."""
-        return _rays(*_key(self.camera), per_px)
+        return rays_of(self.camera, per_px)
 
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return the pixels, column and row, of points in sensor axes with z > 0, shape (N, 2)."""
@@ -99,6 +99,15 @@ class DepthView:
         return behind
 
 
+def rays_of(camera: Camera, per_px: int = 1) -> RayGrid:
+    """Return ``per_px`` x ``per_px`` rays for each pixel, in single precision, cached from frame to frame.
+
+    Raises:
+        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
+    """
+    return _rays(*_key(camera), per_px)
+
+
 _Size = tuple[int, int]
 _Intrinsics = tuple[float, float, float, float]
 
@@ -115,7 +124,7 @@ def _camera(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...])
     return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _rays(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], per_px: int) -> RayGrid:
     return RayGrid.pinhole(_camera(size, intrinsics, distortion), per_px).in_single_precision()
 

@@ -1,18 +1,14 @@
 """Configuration of the driver of GenICam cameras."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from rpod_driver.stamps import StampConfig
-from rpod_schemas.config.base import Config, Positive, in_place, read_document
+from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.config.driver import DriverConfig
-from rpod_schemas.types import Camera
-
-
-def _read(value: Any) -> Any:
-    return in_place(value, read_document)
+from rpod_schemas.config.pmd.lens import Lens
 
 
 class GenicamDevice(Config):
@@ -32,7 +28,7 @@ class GenicamDevice(Config):
     """Rate of software triggers, Hz."""
     trigger_line: str = "Line0"
     """Input of hardware triggers, a value of TriggerSource."""
-    calibration: Annotated[Camera, BeforeValidator(_read)] | None = None
+    calibration: Lens | None = None
     """Lens, inline or as the path of a file; else the camera's Scan3dFocalLength and
     Scan3dPrincipalPoint are used."""
     stamps: StampConfig = StampConfig()

@@ -1,22 +1,14 @@
 """Configuration of the driver of ifm O3R heads."""
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from rpod_driver.stamps import StampConfig
-from rpod_schemas.config.base import Config, Positive, in_place, read_document
+from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.config.driver import DriverConfig
-from rpod_schemas.types import Camera
-
-
-def _read(value: Any) -> Any:
-    return in_place(value, read_document)
-
-
-Lens = Annotated[Camera, BeforeValidator(_read)]
-"""A camera's size, fx, fy, cx, cy and distortion, written inline or as the path of a file."""
+from rpod_schemas.config.pmd.lens import Lens
 
 
 class IfmDevice(Config):

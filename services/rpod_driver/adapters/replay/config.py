@@ -1,18 +1,14 @@
 """Configuration of the driver that plays recordings."""
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Config, Positive, in_place, read_document
+from rpod_schemas.config.base import Config, Positive
 from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.config.pmd.lens import Lens
 from rpod_schemas.config.source import Source, SourceConfig
-from rpod_schemas.types import Camera
-
-
-def _read(value: Any) -> Any:
-    return in_place(value, read_document)
 
 
 class Images(Config):
@@ -28,7 +24,7 @@ class Images(Config):
     """Depth of one count, m."""
     radial: bool = False
     """Whether the images hold distances along the pixels' rays, not z-depth."""
-    camera: Annotated[Camera, BeforeValidator(_read)]
+    camera: Lens
     """The camera's size, fx, fy, cx, cy and distortion, inline or as the path of a file."""
     rate_hz: Positive = 10.0
     """Rate of the images, Hz: they carry no stamps."""
