@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from checked_sensors import facility_frames, wall_frames
 
-from rpod_runtime.sensor_data.exposure_watch import ExposureWatch, summed, votes
+from rpod_runtime.sensor_data.exposure_watch import ExposureWatch, Votes, summed, votes
 
 
 def mockup_frames():
@@ -36,6 +36,27 @@ def test_an_amplitude_of_the_exposure_before_is_told_with_the_remedy_and_one_of_
     text = told(behind(frames))
     assert text.startswith("its amplitude is of the exposure before: so say ")
     assert text.endswith("let its driver send images of one exposure, or leave that topic out")
+
+
+def test_an_outline_that_noise_alone_changes_tells_nothing():
+    generator = np.random.default_rng(8)
+    frames = []
+    for number, frame in enumerate(mockup_frames()[:1] * 30):
+        lost = generator.random(frame.depth_m.shape) < 0.3
+        depth_m = np.where(lost, np.float32(np.nan), frame.depth_m)
+        update = {"stamp_ns": frame.stamp_ns + number * 200_000_000, "depth_m": depth_m}
+        frames.append(frame.model_copy(update=update))
+    found = summed([votes(*pair) for pair in pairwise(frames)])
+    assert found.suffice
+    assert not found.is_behind
+    assert told(frames) == ""
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "is_behind"), [(40, 9, False), (41, 19, False), (44, 16, True), (640, 360, False)]
+)
+def test_a_majority_counts_if_it_is_no_chance(before, now, is_behind):
+    assert Votes(before, now).is_behind is is_behind
 
 
 def test_where_nothing_moves_nothing_is_told():
