@@ -8,3 +8,8 @@ _FIGURE = re.compile(r"(?<![A-Za-z])-?\d+(\.\d+)?(e-?\d+)?")
 def without_figures(text: str) -> str:
     """Return a text with an ellipsis in place of each number, so that texts of one kind are equal."""
     return _FIGURE.sub("…", text)
+
+
+def is_count(text: str) -> bool:
+    """Return whether a text is a count that a service may have: at most 20 digits, those of 64 bits."""
+    return text.isdecimal() and len(text) <= 20

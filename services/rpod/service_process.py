@@ -10,6 +10,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from rpod_runtime.process.lifecycle import SUPERVISED
+from rpod_schemas.caches.whole_file import whole_file
 
 _TAIL_BYTES = 1 << 14
 
@@ -23,8 +24,12 @@ class ServiceFiles:
 
     def write_config(self, config: BaseModel) -> None:
         """Write the configuration for the next start. Raises ``OSError``."""
+        text = config.model_dump_json(indent=2).encode()
+        if self.config.is_file() and self.config.read_bytes() == text:
+            return  # a restart needs no space on the disk
         self.config.parent.mkdir(parents=True, exist_ok=True)
-        self.config.write_text(config.model_dump_json(indent=2), "utf-8")
+        with whole_file(self.config) as stream:
+            stream.write(text)
 
     def start(self, arguments: Sequence[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
         """Start ``rpod`` in a session of its own, so that only its parent receives Ctrl-C.

@@ -131,7 +131,7 @@ class Emulator:
         return Accepted()
 
     def _plan_fault(self, request: FaultRequest) -> Accepted:
-        self._faults.request(request, max(self._truth.last_ns, 0))
+        self._faults.request(request, self._truth.last_ns)
         return Accepted()
 
     def take_messages(self) -> None:

@@ -89,8 +89,14 @@ class Faults:
             self._planned.append(Window(planned.kind, planned.sensor, start_ns, end_ns, planned.amount))
 
     def request(self, request: FaultRequest, now_ns: int) -> None:
-        """Plan a fault from the time of the newest truth on. Raises ``RefusedError``."""
+        """Plan a fault from the time of the newest truth on, below 0 if none has come.
+
+        Raises:
+            RefusedError: the fault cannot be injected, or there is no time from which it could count.
+        """
         self._check(request, at_start=False)
+        if now_ns < 0:
+            raise RefusedError("no truth has come, from which the fault's time counts: start motion first")
         start_ns = now_ns + round(request.start_s * NANOSECONDS)
         end_ns = start_ns + round(request.duration_s * NANOSECONDS)
         self._requested.append(Window(request.kind, request.sensor, start_ns, end_ns, request.amount))

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from threading import Event
 from typing import Any
@@ -11,6 +11,7 @@ from rpod_estimator.estimator import TICK_S, Estimator, check_reset
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.bodies import BodyInput, BodyReport
 from rpod_estimator.inputs.imu import ImuInput
+from rpod_estimator.inputs.stamped import StampedInput
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_estimator.live_searches import LiveSearches, Worker
 from rpod_estimator.outputs import Outputs
@@ -74,7 +75,15 @@ def _serve(
         readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
         bodies = BodyReport(node, estimator.bodies)
         with Beacon(Validity(config.stale_after_s), outputs.publish_validity, node.clock) as beacon:
-            service = _Service(estimator, subscriptions, outputs, beacon, searches=live)
+            service = _Service(
+                estimator,
+                subscriptions,
+                outputs,
+                beacon,
+                searches=live,
+                readings=readings,
+                in_lockstep=config.in_lockstep,
+            )
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
             node.ready(f"listening to {', '.join(sensor.name for sensor in config.sensors)}")
             while not stop.is_set():
@@ -82,23 +91,13 @@ def _serve(
                 subscriptions.pin(estimator.pins_setups)
                 arrived = subscriptions.newest(TICK_S)
                 estimator.learn(subscriptions.infos)
-                if arrived is not None and arrived.came_in_time:
-                    for each in readings:
-                        each.take_until(arrived.stamp_ns)
-                    if config.in_lockstep:
-                        for output in estimator.let_time_pass(arrived.stamp_ns):
-                            service.publish(output)
                 if arrived is not None:
-                    service.process(arrived)
-                service.publish(estimator.tick(node.clock.settled_ns()))
-                for output in estimator.unreported(node.clock.settled_ns(), live):
-                    service.publish(output)
+                    service.take(arrived)
+                service.tick(node.clock.settled_ns())
                 bodies.update()
                 subscriptions.report_health(estimator.mode)
             for arrived in subscriptions.rest():  # each frame gets a status, or is counted as dropped
-                for each in readings if arrived.came_in_time else ():
-                    each.take_until(arrived.stamp_ns)
-                service.process(arrived)
+                service.take(arrived, lets_time_pass=False)
             bodies.update()
 
 
@@ -113,10 +112,13 @@ class _Service:
         beacon: Beacon,
         *,
         searches: LiveSearches,
+        readings: Sequence[StampedInput[Any]],
+        in_lockstep: bool,
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._beacon = outputs, beacon
         self._searches, self._reset = searches, Event()
+        self._readings, self._in_lockstep = readings, in_lockstep
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start again, with the sensors as they are set up now."""
@@ -125,8 +127,26 @@ class _Service:
         self._reset.set()
         return self._estimator.request_reset(request)
 
-    def process(self, arrived: Arrived) -> None:
-        """Process a frame and publish the result."""
+    def take(self, arrived: Arrived, *, lets_time_pass: bool = True) -> None:
+        """Process a frame, after the readings and, in lockstep, the time up to its stamp."""
+        if arrived.came_in_time:
+            for each in self._readings:
+                each.take_until(arrived.stamp_ns)
+            if self._in_lockstep and lets_time_pass:
+                for output in self._estimator.let_time_pass(arrived.stamp_ns):
+                    self.publish(output)
+        self._process(arrived)
+
+    def tick(self, now_ns: int) -> None:
+        """Let the time pass to a stamp, with the readings that have come, and publish what follows."""
+        if not self._in_lockstep:
+            for each in self._readings:
+                each.take_in()
+        self.publish(self._estimator.tick(now_ns))
+        for output in self._estimator.unreported(now_ns, self._searches):
+            self.publish(output)
+
+    def _process(self, arrived: Arrived) -> None:
         if self._reset.is_set():  # requests come from a thread of the bus
             self._reset.clear()
             self._searches.end_pauses()

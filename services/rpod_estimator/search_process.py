@@ -151,10 +151,8 @@ class SearchProcess:
 
     def _receive(self) -> Found | None:
         """Take the results of the process, and give it the next search if it is free."""
-        if self._again_s is not None:
-            if self._now_s() < self._again_s:
-                return None
-            self._restart()
+        if self._again_s is not None and (self._now_s() < self._again_s or not self._restart()):
+            return None
         found = None
         try:
             while self._connection.poll():
@@ -176,11 +174,16 @@ class SearchProcess:
             self._restart()
         return found
 
-    def _restart(self) -> None:
-        """Start the process again, with the search that waits."""
+    def _restart(self) -> bool:
+        """Start the process again, with the search that waits; return whether the system lets it start."""
         waiting, self._again_s = self._next, None
-        self._spawn(beside_tracking=True)
+        try:
+            self._spawn(beside_tracking=True)
+        except OSError as error:  # no memory, or too many processes or files
+            log.error("%s: the search process cannot be started: %s", self._sensor.name, error)
+            self._again_s = self._now_s() + self._pause_s
         self._next = waiting
+        return self._again_s is None
 
     def _give_up(self) -> Found:
         """Return why there is no result: the process has ended. It is started again after a pause."""

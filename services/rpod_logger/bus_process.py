@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from rpod_runtime import Received
 from rpod_runtime.bus.link import utc
+from rpod_schemas.texts import is_count
 from rpod_schemas.topics import DIAGNOSTICS
 from rpod_schemas.types import CLOSING, PUBLISHED, Diagnostic
 
@@ -73,7 +74,7 @@ class BusProcess:
 
     def note_diagnostic(self, diagnostic: Diagnostic, received: Received) -> None:
         """Take the numbers of published messages from diagnostics, if they are those of a service of rpod."""
-        counters = {name: int(text) for name, text in diagnostic.values.items() if text.isdecimal()}
+        counters = {name: int(text) for name, text in diagnostic.values.items() if is_count(text)}
         if any(name.startswith(PUBLISHED) for name in counters):
             self.service, self.gid = diagnostic.name, received.attachment.gid
             self.closing = diagnostic.values.get(CLOSING) == "true"
@@ -120,7 +121,9 @@ class BusProcess:
 
     def note_missing_as_reported(self) -> None:
         """Note that a file reports the messages that are missing now, so that the next one does not."""
-        self.missing_before = {topic: n - self._last_number(topic) for topic, n in self.published.items()}
+        self.missing_before = {
+            topic: max(0, n - self._last_number(topic)) for topic, n in self.published.items()
+        }
 
     def _last_number(self, topic: str) -> int:
         """Return the number of messages of a topic up to the last one that arrived, of all its publishers."""

@@ -35,6 +35,7 @@ from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.errors import Reason
 from rpod_schemas.reload import ReloadReply
 from rpod_schemas.types import Health
+from rpod_security.errors import SecurityError
 
 log = logging.getLogger(__name__)
 
@@ -276,19 +277,19 @@ class Recorder:
         if self._recording is not None:
             raise AlreadyRecordingError(self._recording.file.path)
         stem, config = name or self._stem, self._config
-        settings = WriterSettings(
-            config.bus.keys,
-            f"rpod {self._version}",
-            config.compression,
-            config.chunk_bytes,
-            config.reserve_bytes,
-            lambda: time.monotonic() < self._full_until_s,
-            chained=config.chained,
-            key=signing_key(config),
-        )
         try:
+            settings = WriterSettings(
+                config.bus.keys,
+                f"rpod {self._version}",
+                config.compression,
+                config.chunk_bytes,
+                config.reserve_bytes,
+                lambda: time.monotonic() < self._full_until_s,
+                chained=config.chained,
+                key=signing_key(config),
+            )
             file = create_log(config.directory, stem, settings)
-        except OSError as error:
+        except (OSError, SecurityError) as error:  # the disk, or a key that cannot be read
             failure = CannotWriteError(config.directory / f"{stem}.mcap", error, again=again)
             raise self._fail(failure) from error
         self._stem, self._failure = stem, None

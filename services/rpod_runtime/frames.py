@@ -18,7 +18,14 @@ from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_runtime.sensor_data.empty_lines import EmptyLines
 from rpod_runtime.sensor_data.exposure_watch import ExposureWatch
-from rpod_runtime.sensor_data.scan_grid import GridInference, ahead, angles_of, is_ahead, rows_are_elevation
+from rpod_runtime.sensor_data.scan_grid import (
+    GridInference,
+    ahead,
+    angles_of,
+    columns_ahead,
+    is_ahead,
+    rows_are_elevation,
+)
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -237,7 +244,7 @@ class LidarReader:
         scan = read_part(frame.parts["points"], lambda message: self._scan(frame.stamp_ns, message))
         if self._info is None:
             time_s = np.zeros(1) if scan.time_s is None else scan.time_s[np.isfinite(scan.time_s)]
-            self._inferred.add(scan.points_m, float(np.ptp(time_s)))
+            self._inferred.add(scan.points_m, float(np.ptp(time_s)) if time_s.size else 0.0)
         front = self.newest_info
         if self._whole is not None and not (scan.organised and front is self._whole):
             scan = _ahead_of(scan, self._whole)
@@ -334,7 +341,7 @@ class LidarReader:
 def _ahead_of(scan: LidarScan, pattern: LidarInfo) -> LidarScan:
     """Return a scan without the directions that are not ahead."""
     if scan.organised and scan.points_m.shape[1] == pattern.azimuth_rad.size:
-        kept: Any = (slice(None), is_ahead(pattern.azimuth_rad))
+        kept: Any = (slice(None), columns_ahead(pattern.azimuth_rad))
     else:
         kept = is_ahead(angles_of(scan.points_m)[0])
     parts = {"points_m": scan.points_m, "intensity": scan.intensity, "time_s": scan.time_s}

@@ -349,7 +349,7 @@ class Node(Asker):
         if isinstance(config, ServiceConfig):
             self.config = config
         for name, value in flatten(reply.changed):
-            self.parameters.offer(name, value)
+            self.parameters.renew(name, value)
         self.health.set_text("configuration/read_again", text)
         names = ", ".join(reply.needs_restart)
         differs = f"the file differs in {names}: restart the service, or correct it" if names else ""

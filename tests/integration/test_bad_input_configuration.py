@@ -61,7 +61,7 @@ def written(directory: Path, document: object) -> Path:
             "sensors.0.T_chaser_sensor",
             "three finite numbers",
         ),
-        ("estimator", {"sensors": []}, "sensors", "at least 1 item"),
+        ("estimator", {"sensors": []}, "sensors", "needs 1 at least"),
         ("estimator", {"filter": {"gate": 3}}, "filter.gate", "not a known field"),
         ("logger", {"directroy": "x"}, "directroy", "not a known field"),
     ],

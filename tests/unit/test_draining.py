@@ -78,3 +78,8 @@ def test_nobody_waits_for_a_logger_that_has_died():
 
     with pytest.raises(RuntimeError):
         await_logged(Bus(received(40)), "motion", "logger", check=check)
+
+
+def test_an_answer_that_is_missed_first_does_not_hide_the_progress_after_it():
+    bus = Bus(None, *(received(10 + number) for number in range(30)), received(100))
+    assert await_logged(bus, "motion", "logger", check=lambda: None)

@@ -11,7 +11,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_schemas.bounds import DISTORTION
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.messages.header import within
 from rpod_schemas.types import LENS_COEFFICIENTS
 
 _MOST_RAD = np.radians(80.0)
@@ -38,6 +40,7 @@ def coefficients(model: str, given: tuple[float, ...], farthest: float) -> NDArr
         known = ", ".join(name for name in _NUMBERS if name)
         raise MessageRejectedError(Reason.WRONG_TYPE, f"distortion model {model!r}, known are {known}")
     number = _NUMBERS[model]
+    within(DISTORTION, "distortion", np.array(given))
     if any(given[number:]):
         raise MessageRejectedError(
             Reason.WRONG_SIZE,

@@ -119,6 +119,8 @@ def _options(name: str, model: type[Options], given: Mapping[str, Any]) -> Optio
         return check(model, document, source="")
     except ConfigurationError as error:
         option = error.field.split(".")[0]
+        if option not in given:  # of several options together
+            raise ConfigurationError(f"rpod campaign {name}", "", error.reason) from error
         raise ConfigurationError(_flag(option), "", f"{error.reason} ({given[option]!r})") from error
 
 

@@ -51,7 +51,9 @@ def await_logged(node: Node, service: str, logger: str, *, check: Callable[[], N
         if received and not missing:
             return True
         now_s = clock.now_s()
-        if sum(missing.values()) < least:
+        if not received:
+            progress_s = now_s  # it did not answer in time
+        elif sum(missing.values()) < least:
             least, progress_s = sum(missing.values()), now_s
         if now_s > _PATIENCE_S or (received and now_s - progress_s > _PROGRESS_S):
             what = _listed(missing) if received else "an unknown number of messages, as it does not answer"

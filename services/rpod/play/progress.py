@@ -22,6 +22,7 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
 from rpod_schemas.poses import between, pose_error
+from rpod_schemas.texts import is_count
 from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
 from rpod_schemas.types import Diagnostic, Health, Mode
 from rpod_target import NO_SYMMETRY, load_equivalence
@@ -159,7 +160,7 @@ class Progress:
 
     def _take_counters(self, stamp_ns: int, values: dict[str, str]) -> None:
         for name, value in values.items():
-            if not name.startswith("frames/"):
+            if not name.startswith("frames/") or not is_count(value):
                 continue
             sensor, count = name.removeprefix("frames/"), int(value)
             before_ns, before = self._seen.counted.get(sensor, (stamp_ns, count))

@@ -4,7 +4,7 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,7 +63,8 @@ class FacilityManager:
             for daemon in reversed(self._daemons):
                 daemon.stop(STOP_TIMEOUT_S)
                 daemon.close()
-            tell(self.status())
+            with suppress(OSError):
+                tell(self.status())
 
     def status(self) -> FacilityStatus:
         """Return the present state of all services."""
@@ -115,7 +116,8 @@ class FacilityManager:
         except OSError as error:  # a full disk must not end what keeps the facility alive
             log.error("the state cannot be written: %s", error)
         if changed:
-            tell(status)
+            with suppress(OSError):  # standard output that is closed must not end it either
+                tell(status)
         if changed and status.healthy:
             log.info("ready: all services of %s are at work", status.name)
         self._shown, self._next_s = shown, time.monotonic() + _STATUS_S

@@ -83,6 +83,7 @@ def fit(samples: DepthSamples) -> DepthCalibration:
         for hertz in samples.modulation_frequency_hz
         for order in _FURTHER_ORDERS
         if _parts_covered(samples.true_m, hertz, order) == _PARTS
+        and not any(np.isclose(hertz * order, known * waves) for known, waves in orders)
     ]
     candidate = _fit(samples, orders + further)
     kept = [

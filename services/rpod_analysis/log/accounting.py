@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from rpod_analysis.log.logged import Logged
 from rpod_analysis.log.numbering import Numbering
 from rpod_schemas.summary import BodyAccount, FrameCount, InputAccount, LostFrames
-from rpod_schemas.texts import without_figures
+from rpod_schemas.texts import is_count, without_figures
 from rpod_schemas.types import PUBLISHED, Diagnostic, Health
 
 _DROPPED = "dropped"
@@ -87,7 +87,7 @@ class Account:
             self.alarms[alarm if known else f"{diagnostic.name}: other errors"] += 1
         now, ended = self.counters[diagnostic.name], self._lives[diagnostic.name]
         for name, text in diagnostic.values.items():
-            if text.isdecimal():
+            if is_count(text):
                 value = int(text)
                 if value + ended[name] < now[name]:
                     ended[name] = now[name]

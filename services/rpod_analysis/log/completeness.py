@@ -92,7 +92,10 @@ def check_log_completeness(log: Log) -> CheckedCompleteness:
 def _of_file(file: LogFile) -> FileCompleteness:
     name, messages = file.path.name, file.statistics.message_count
     if record := file.metadata(RECOVERY):
-        reasons = _of_recovery(Recovery.model_validate_json(record["recovery"]))
+        try:
+            reasons = _of_recovery(Recovery.model_validate_json(record["recovery"]))
+        except (ValueError, KeyError):
+            reasons = ("its record of the recovery cannot be read",)
         return FileCompleteness(name, messages, not reasons, reasons)
     record = file.metadata(COMPLETENESS)
     if not record:

@@ -90,6 +90,11 @@ def open_log(path: Path | str, *more: Path | str, namespace: str = "") -> "Log":
     return Log(path, *more, namespace=namespace)
 
 
+def _by_time(part: LogFile) -> tuple[bool, int]:
+    """Return the key by which the files of a run are sorted; files without messages are the last ones."""
+    return part.statistics.message_count == 0, part.statistics.message_end_time
+
+
 class Log:
     """An open log; use it in a ``with`` statement, which closes it."""
 
@@ -101,7 +106,7 @@ class Log:
             files = [file for path in paths for file in files_of(Path(path))]
             parts = [open_file(file, stack) for file in files]
             # Sorted by their ends: a part may begin with latched messages older than the part before it.
-            self._parts = sorted(parts, key=lambda part: part.statistics.message_end_time)
+            self._parts = sorted(parts, key=_by_time)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:

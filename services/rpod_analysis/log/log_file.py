@@ -49,9 +49,12 @@ def files_of(path: Path) -> list[Path]:
     Raises:
         NoLogError: the folder holds no log.
     """
-    if not path.is_dir():
-        return [path]
-    files = sorted(path.glob(f"*{SUFFIX}"))
+    try:
+        if not path.is_dir():
+            return [path]
+        files = sorted(path.glob(f"*{SUFFIX}"))
+    except OSError as error:
+        raise NoLogError(path, (error.strerror or str(error)).lower()) from error
     files = [
         file for file in files if not file.stem.endswith(REPLAY) and beside(file, RECOVERED) not in files
     ]

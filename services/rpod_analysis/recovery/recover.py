@@ -55,8 +55,8 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
         except OSError as error:
             target.unlink(missing_ok=True)
             raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
-        except (NotMcapError, NothingRecoveredError):
-            target.unlink()
+        except BaseException:  # also Ctrl-C: a part of a log would take the log's place
+            target.unlink(missing_ok=True)
             raise
     return recovery
 

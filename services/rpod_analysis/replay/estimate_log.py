@@ -1,7 +1,7 @@
 """The log that a replay writes: unchanged truth and old estimates, and the new estimates beside them."""
 
 import json
-import os
+import sys
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 from rpod_analysis.log import Log, Logged
 from rpod_logger.writer import qos_profile
 from rpod_pose.navigation.state import Output
+from rpod_schemas.caches.whole_file import whole_file
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import logged
 from rpod_schemas.logs import (
@@ -61,7 +62,8 @@ class EstimateLog:
         self._sequences: Counter[str] = Counter()
 
     def __enter__(self) -> Self:
-        self._stream = self._path.open("wb")
+        self._whole = whole_file(self._path, durable=True)  # an older log stays until this one is complete
+        self._stream = self._whole.__enter__()
         self._writer = Writer(self._stream, compression=CompressionType.LZ4)
         self._writer.start(profile=PROFILE, library="rpod replay")
         return self
@@ -69,14 +71,14 @@ class EstimateLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._stream:
+        try:
             if kind is None:
                 self._describe()
                 self._writer.finish()  # type: ignore[no-untyped-call]
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-        if kind is not None:
-            self._path.unlink(missing_ok=True)
+        except BaseException:
+            self._whole.__exit__(*sys.exc_info())
+            raise
+        self._whole.__exit__(kind, error, trace)
 
     def copy(self, logged: Logged) -> None:
         """Add an unchanged message."""

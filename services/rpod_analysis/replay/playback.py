@@ -104,14 +104,16 @@ class _Player:
         self._announce(begin_ns)
         started_s, shift_ns = time.monotonic(), 0
         while not self._stop.is_set():
+            played = False
             for logged, now_ns in self._timed(begin_ns):
+                played = True
                 elapsed_s = (now_ns + shift_ns - begin_ns) / NANOSECONDS / self._playback.speed
                 if self._wait_until(started_s + elapsed_s):
                     break
                 self._publish(logged, now_ns, shift_ns)
             self._played.laps += not self._stop.is_set()
             shift_ns += self._timeline.now_ns - begin_ns + _BETWEEN_LAPS_NS
-            if not self._playback.loop:
+            if not self._playback.loop or not played:
                 break
         self._stop.wait(_SETTLE_S)
         return self._played

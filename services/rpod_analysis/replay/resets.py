@@ -13,6 +13,7 @@ from rpod_analysis.log import Log, Logged
 from rpod_schemas.control import ResetRequest
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import read_diagnostics, read_status
+from rpod_schemas.texts import is_count
 from rpod_schemas.topics import DIAGNOSTICS
 from rpod_schemas.types import PUBLISHED, Diagnostic, Mode
 
@@ -50,7 +51,7 @@ class LoggedResets:
         for logged in log.messages(DIAGNOSTICS):
             for diagnostic in _read(log, logged):
                 text = diagnostic.values.get(_COUNT, "0")
-                if PUBLISHED + status_topic not in diagnostic.values or not text.isdecimal():
+                if PUBLISHED + status_topic not in diagnostic.values or not is_count(text):
                     continue
                 count = int(text)
                 new = 0 if before is None else count - before if count >= before else count

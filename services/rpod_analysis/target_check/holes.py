@@ -26,7 +26,8 @@ class Opening:
 
 def openings(target: Target) -> list[Opening]:
     """Return the openings of a target's surfaces, the longest first."""
-    front = np.array([not name.endswith("-back") for name in target.parts])[target.triangle_part]
+    backs = [name.endswith("-back") and name.removesuffix("-back") in target.parts for name in target.parts]
+    front = ~np.array(backs)[target.triangle_part]
     triangles_m, part = target.triangles_m[front], target.triangle_part[front]
     index = welded(triangles_m)
     edges = directed_edges(index)

@@ -20,6 +20,7 @@ _DECISIVE = (
     "rpod_motion",
     "rpod_geometry",
     "rpod_pose",
+    "rpod_analysis.scoring",
     "rpod_campaign.engine.trial",
     "rpod_campaign.lidar",
     "rpod_campaign.pmd",
@@ -72,7 +73,9 @@ def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
     found = [source for package in _DECISIVE for source in _sources(files(package), package)]
     others = {top for top in providers() if top not in _DECISIVE}
     if trial_module.startswith(f"{_OURS}."):
-        for module in _trials(trial_module):
+        modules, services = _trials(trial_module)
+        others |= services
+        for module in modules:
             package, _, name = module.rpartition(".")
             found.append((module, files(package) / f"{name}.py"))
     else:
@@ -80,21 +83,21 @@ def _all_sources(trial_module: str) -> list[tuple[str, Traversable]]:
     return found + [source for top in sorted(others) for source in _sources_of(top)]
 
 
-def _trials(trial_module: str) -> list[str]:
-    """Return the modules of a trial and those of campaigns that it uses, without reports and options."""
-    found, left = set(), {trial_module}
+def _trials(trial_module: str) -> tuple[list[str], set[str]]:
+    """Return the modules of a trial and of campaigns that it uses, without reports and options.
+
+    Also returns the other packages of this project that these modules use, as services that a trial runs.
+    """
+    found, left, services = set(), {trial_module}, set()
     while left:
         module = left.pop()
         found.add(module)
         made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(module)).values()}
-        left |= {
-            name
-            for name in made_in
-            if name.startswith(f"{_OURS}.")
-            and not name.startswith(_DECISIVE)
-            and name.rpartition(".")[2] not in ("report", "options")
-        } - found
-    return sorted(found)
+        others = {name for name in made_in if name.startswith("rpod_") and not name.startswith(_DECISIVE)}
+        mine = {name for name in others if name.startswith(f"{_OURS}.")}
+        services |= {name.partition(".")[0] for name in others - mine} - {_OURS}
+        left |= {name for name in mine if name.rpartition(".")[2] not in ("report", "options")} - found
+    return sorted(found), services
 
 
 def _sources_of(top: str) -> list[tuple[str, Traversable]]:

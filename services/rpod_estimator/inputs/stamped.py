@@ -7,7 +7,9 @@ from typing import Generic, Protocol, TypeVar
 
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.delivery.holders import Holders
+from rpod_runtime.sensor_data.stamp_watch import clock_hint
 from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.rmw.cdr import NANOSECONDS, peek_stamp
 from rpod_schemas.topics import Topic
 
 log = logging.getLogger(__name__)
@@ -15,6 +17,8 @@ log = logging.getLogger(__name__)
 _LOCKSTEP_S = 5.0
 """Longest wait in lockstep, where readings are sent before the frame and a machine may be loaded."""
 _WAITING = 8192
+_MOST_AHEAD_S = 1.0
+"""Greatest time by which a reading's stamp may be ahead of the wall clock: no clock that is kept is worse."""
 
 
 class Track(Protocol):
@@ -51,7 +55,7 @@ class StampedInput(ABC, Generic[TrackT]):
     def __init__(self, node: Node, tracks: dict[Topic, TrackT], *, in_lockstep: bool) -> None:
         self._node = node
         self._tracks = {topic.name: track for topic, track in tracks.items()}
-        self._wait_s = _LOCKSTEP_S if in_lockstep else self.late_s
+        self._in_lockstep, self._wait_s = in_lockstep, _LOCKSTEP_S if in_lockstep else self.late_s
         self._inbox, self._holders = Inbox(_WAITING), Holders()
         self._missing: tuple[str, ...] = ()
         for topic in tracks:
@@ -64,6 +68,11 @@ class StampedInput(ABC, Generic[TrackT]):
     def is_known(self, track: TrackT, stamp_ns: int) -> bool:
         """Return whether the readings suffice for a stamp."""
         return track.covers(stamp_ns)
+
+    def take_in(self) -> None:
+        """Take in what has arrived, without waiting: a track coasts by it while no frame comes."""
+        if self._tracks:
+            self._take(self._inbox.wait(0.0))
 
     def take_until(self, stamp_ns: int) -> None:
         """Take in what has arrived; wait a little for readings up to a frame's stamp.
@@ -86,6 +95,7 @@ class StampedInput(ABC, Generic[TrackT]):
         for received in messages:
             name = received.topic.name
             try:
+                self._check_future(received)
                 self._holders.check(name, received.peer, received.arrival_s)
                 if not self.use(self._tracks[name], received):
                     raise MessageRejectedError(
@@ -95,6 +105,17 @@ class StampedInput(ABC, Generic[TrackT]):
             except MessageRejectedError as error:
                 self._node.reject(name, error)
         self._node.health.put(f"overflowed/{self.name}", self._inbox.overflowed)
+
+    def _check_future(self, received: Received) -> None:
+        """Check that a stamp is not ahead of the wall clock: later readings would count as older ones."""
+        if self._in_lockstep:
+            return
+        stamp_ns = peek_stamp(received.payload)
+        ahead_s = (stamp_ns - received.arrival_ns) / NANOSECONDS
+        if ahead_s > _MOST_AHEAD_S:
+            raise MessageRejectedError(
+                Reason.FUTURE, f"{ahead_s:.3f} s ahead of the wall clock; {clock_hint(ahead_s, stamp_ns)}"
+            )
 
     def _report_missing(self, missing: tuple[str, ...]) -> None:
         """Report when readings begin to be missing, and when they arrive again."""

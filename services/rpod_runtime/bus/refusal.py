@@ -31,6 +31,7 @@ _REASONS = (
     ("alert certificate expired", f"the certificate of this client has expired; {_RENEW}"),
     ("has expired", f"the router's certificate has expired; {_RENEW}"),
     ("mismatch|not valid for", "its certificate is not for this address; 'rpod pki init --host' names it"),
+    ("not yet valid", "a certificate is not valid yet; are the clocks of both hosts right?"),
     ("verify failed", "its certificate is not of the authority in bus.credentials"),
 )
 """Texts of OpenSSL, as patterns, and what they mean to a client."""

@@ -6,7 +6,7 @@ knows the bus.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import RLock
 from typing import Any
 
@@ -58,6 +58,12 @@ class Parameters:
         """
         with self._lock:
             self._items[name] = Parameter(value, description, constraints, change)
+
+    def renew(self, name: str, value: ParameterValue) -> None:
+        """Give a parameter its present value, and leave open whether it can be set; add it if it is new."""
+        with self._lock:
+            known = self._items.get(name)
+            self._items[name] = Parameter(value) if known is None else replace(known, value=value)
 
     def on_change(self, tell: Callable[[Sequence[Assignment]], None]) -> None:
         """Call ``tell`` with names and new values after each change."""

@@ -70,10 +70,33 @@ def is_ahead(azimuth_rad: Angles) -> NDArray[np.bool_]:
     return near
 
 
+def columns_ahead(azimuth_rad: Angles) -> NDArray[np.intp]:
+    """Return which columns of a pattern are ahead, in an order in which neighbours are next to each other.
+
+    A head that turns all around may begin a scan anywhere, also straight ahead.
+
+    Args:
+        azimuth_rad: azimuths of the columns, of any turn, shape (columns,).
+    """
+    kept = np.flatnonzero(is_ahead(azimuth_rad))
+    wrapped_rad = _wrapped(azimuth_rad[kept])
+    steps_rad = np.diff(wrapped_rad)
+    even = (steps_rad > 0.0).all() or (steps_rad < 0.0).all()
+    return kept if even else kept[np.argsort(wrapped_rad, kind="stable")]
+
+
 def ahead(pattern: LidarInfo) -> LidarInfo:
-    """Return the part of a pattern that is ahead; the pattern itself if all of it is."""
-    kept = is_ahead(pattern.azimuth_rad)
-    return pattern if kept.all() else pattern.model_copy(update={"azimuth_rad": pattern.azimuth_rad[kept]})
+    """Return the part of a pattern that is ahead, within half a turn; the pattern itself if all of it is."""
+    azimuth_rad = _wrapped(pattern.azimuth_rad[columns_ahead(pattern.azimuth_rad)])
+    whole = np.array_equal(azimuth_rad, pattern.azimuth_rad)
+    return pattern if whole else pattern.model_copy(update={"azimuth_rad": azimuth_rad})
+
+
+def _wrapped(azimuth_rad: Angles) -> Angles:
+    wrapped_rad: Angles = np.where(
+        np.abs(azimuth_rad) <= np.pi, azimuth_rad, np.angle(np.exp(1j * azimuth_rad))
+    )
+    return wrapped_rad
 
 
 def rows_are_elevation(points_m: Float32Array) -> bool | None:

@@ -1,6 +1,9 @@
 """Faults of delivery: frames and messages that do not come, come late, or come twice."""
 
+import zlib
 from dataclasses import replace
+
+import numpy as np
 
 from rpod_sim_sensor.faults.injection import Injection, Outgoing
 
@@ -59,7 +62,8 @@ class LostMessages(Injection):
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
         """Return the part, marked where it is lost; parts of a frame are lost one by one."""
-        lot = self.random(outgoing).random(8)[sum(outgoing.part.encode()) % 8]
+        key = [self.seed, outgoing.stamp_ns % 2**62, zlib.crc32(outgoing.part.encode())]
+        lot = np.random.default_rng(key).random()
         return [replace(outgoing, lost=bool(lot < (self.size or 0.0)))]
 
 

@@ -260,6 +260,8 @@ class _Sections:
             return np.zeros(3)
         corners = self._mesh.triangles
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        if not area.sum() > 0.0:
+            raise TargetError(self._cad, "", "contains no triangle with an area greater than zero")
         centre_m = self._scale * (area @ corners.mean(axis=1)) / area.sum()
         self.told.append("the origin is the centre of area, not that of the file")
         return np.asarray(np.round(-centre_m, 9))

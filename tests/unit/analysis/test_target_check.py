@@ -44,6 +44,14 @@ def test_a_closed_box_has_no_opening_and_twelve_straight_edges(tmp_path: Path) -
     assert edges[0].seen_up_to_m["pmd"] > edges[0].seen_up_to_m["lidar"]
 
 
+def test_a_part_whose_name_ends_as_that_of_a_back_is_no_back(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((2.0, 1.0, 0.5))
+    mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.25).all(axis=1))
+    target = built(mesh, tmp_path)
+    (opening,) = openings(replace(target, parts=("panel-back", "panel-back-back")))
+    assert opening.parts == ("panel-back",)
+
+
 def test_an_opening_is_told_with_its_place(tmp_path: Path) -> None:
     mesh = trimesh.creation.box((2.0, 1.0, 0.5))
     mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.25).all(axis=1))

@@ -21,12 +21,12 @@ from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError, SchemaError
 from rpod_schemas.faults import FAULTS, PlannedFault
 from rpod_schemas.faults.injected import InjectedFault, read_faults
-from rpod_schemas.messages import read_image, read_stamp, read_transforms
+from rpod_schemas.messages import read_image, read_stamp, read_transforms, write_image
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import FAULTS as FAULTS_TOPIC
-from rpod_schemas.topics import TF_STATIC
+from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, PmdFrame
-from rpod_sim_sensor.faults import injection
+from rpod_sim_sensor.faults import Outgoing, injection
 
 SECOND_NS = 1_000_000_000
 CAMERA = Camera(width=24, height=36, fx=30.0, fy=30.0, cx=11.5, cy=17.5)
@@ -235,3 +235,18 @@ def test_each_fault_is_told_when_it_begins_with_all_before_it():
     blackout = InjectedFault("blackout", "pmd", 5 * SECOND_NS)
     glints = InjectedFault("glints", "", 7 * SECOND_NS, 10 * SECOND_NS, 0.4)
     assert told == [[blackout], [blackout, glints]]
+
+
+def test_a_fault_is_not_taken_before_there_is_a_time_from_which_it_counts():
+    with pytest.raises(RefusedError, match="no truth has come"):
+        Faults.of(config()).request(FaultRequest(fault="stall", duration_s=5.0), -1)
+
+
+def test_parts_of_a_frame_are_lost_on_the_bus_one_by_one():
+    both = [injection("lost_messages", "pmd", 1, size=0.5) for _ in range(2)]
+    lost = []
+    for number in range(200):
+        message = write_image(number * SECOND_NS, "pmd", np.ones((4, 6), np.float32), "32FC1")
+        parts = (Outgoing(Topic(part, "x"), part, message) for part in ("depth", "amplitude"))
+        lost.append([each.apply(part)[0].lost for each, part in zip(both, parts, strict=True)])
+    assert 0.35 < np.mean([depth != amplitude for depth, amplitude in lost]) < 0.65

@@ -25,7 +25,8 @@ class Asked:
 
 
 def service(estimator: Asked, subscriptions: Asked, searches: Asked) -> _Service:
-    return _Service(estimator, subscriptions, SimpleNamespace(), SimpleNamespace(), searches=searches)  # type: ignore[arg-type]
+    parts = estimator, subscriptions, SimpleNamespace(), SimpleNamespace()
+    return _Service(*parts, searches=searches, readings=(), in_lockstep=False)  # type: ignore[arg-type]
 
 
 def test_a_reset_that_is_refused_changes_nothing():
@@ -39,3 +40,25 @@ def test_a_reset_ends_the_pauses_of_searches_in_the_main_loop_only():
     parts = Asked(), Asked(), Asked()
     service(*parts).reset(ResetRequest())
     assert [part.asked for part in parts] == [["reset"], ["reset"], []]
+
+
+def test_readings_are_taken_in_while_no_frame_comes_but_not_in_lockstep():
+    class Readings:
+        taken = 0
+
+        def take_in(self) -> None:
+            self.taken += 1
+
+    class Still(Asked):
+        def tick(self, _: int) -> None:
+            return None
+
+        def unreported(self, *_: object) -> tuple[()]:
+            return ()
+
+    for in_lockstep, taken in ((False, 1), (True, 0)):
+        readings = Readings()
+        parts = Still(), Asked(), SimpleNamespace(), SimpleNamespace()
+        made = _Service(*parts, searches=Asked(), readings=(readings,), in_lockstep=in_lockstep)  # type: ignore[arg-type]
+        made.tick(1)
+        assert readings.taken == taken

@@ -80,3 +80,13 @@ def test_an_offered_parameter_takes_the_place_of_the_configurations():
     parameters.offer("rate_hz", 5.0, values.append)
     parameters.set([("rate_hz", 6.0)])
     assert (values, parameters.value("rate_hz"), parameters.names()) == ([6.0], 6.0, ["rate_hz"])
+
+
+def test_a_value_that_was_read_again_can_still_be_set():
+    parameters = Parameters(DOCUMENT)
+    parameters.offer("log_level", "info", lambda _: None, description="what is logged")
+    parameters.renew("log_level", "debug")
+    parameters.renew("new", 3)
+    assert [parameters.value(name) for name in ("log_level", "new")] == ["debug", 3]
+    parameters.set([("log_level", "info")])
+    assert parameters.value("log_level") == "info"

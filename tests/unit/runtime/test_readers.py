@@ -188,6 +188,25 @@ def test_of_a_turning_head_only_what_lies_ahead_is_used():
     np.testing.assert_allclose(reader.newest_info.azimuth_rad, seen, atol=1e-3)
 
 
+@pytest.mark.parametrize("begin_deg", [-180, 0, 90])
+def test_a_head_may_state_its_azimuths_by_any_turn_and_begin_anywhere(begin_deg):
+    stated = np.radians(np.arange(begin_deg, begin_deg + 360, 5.0) + 2.5)
+    azimuth, elevation = np.meshgrid(stated, np.radians(np.arange(-20, 21, 5)))
+    rays = np.stack((np.sin(azimuth), np.tan(elevation), np.cos(azimuth)), axis=-1)
+    cloud = write_points(1, "lidar", {name: 8.0 * rays[..., n] for n, name in enumerate("xyz")})
+    info = LidarInfo(
+        azimuth_rad=np.where(stated > 2.0 * np.pi, stated - 2.0 * np.pi, stated),
+        elevation_rad=elevation[:, 0], scan_time_s=0.1, sigma_range_m=0.02,
+    )  # fmt: skip
+    reader = LidarReader()
+    reader.learn(write_lidar_info(1, "lidar", info))
+    scan = reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    front = reader.newest_info.azimuth_rad
+    np.testing.assert_allclose(front, np.radians(np.arange(-77.5, 80.0, 5.0)), atol=1e-9)
+    assert scan.points_m.shape == (9, front.size, 3)
+    np.testing.assert_allclose(np.arctan2(scan.points_m[4, :, 0], scan.points_m[4, :, 2]), front, atol=1e-6)
+
+
 def test_a_pattern_that_is_inferred_is_not_stated_by_the_lidar():
     azimuth, elevation = np.meshgrid(np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0)))
     rays = np.stack((np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth)), axis=-1)
@@ -216,3 +235,12 @@ def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog)
     assert scan.points_m.shape == (16, 40, 3)
     assert "rows are up to 4.0 deg beside the columns of the info" in caplog.text
     assert "destagger" in caplog.text
+
+
+def test_a_scan_whose_times_are_all_unknown_is_read():
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0)))
+    rays = np.stack((np.sin(azimuth), np.tan(elevation), np.cos(azimuth)), axis=-1)
+    fields = {name: 5.0 * rays[..., n] for n, name in enumerate("xyz")}
+    cloud = write_points(1, "lidar", fields | {"t": np.full(azimuth.shape, np.nan, np.float32)})
+    scan = LidarReader().read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    assert np.isfinite(scan.points_m).all()

@@ -202,7 +202,7 @@ def replaced(document: dict[str, Any], field: str, value: Any) -> dict[str, Any]
         ("parts.0.colour", "red", "parts.0.colour", "is not a known field"),
         ("parts.0.shape", "sphere", "parts.0", "'sphere'"),
         ("parts.0.shape", MISSING, "parts.0", "shape"),
-        ("parts", [], "parts", "at least 1"),
+        ("parts", [], "parts", "needs 1 at least"),
         ("colour", "red", "colour", "is not a known field"),
         ("name", MISSING, "name", "is missing"),
         ("inertia_kg_m2", MISSING, "inertia_kg_m2", "mass_kg or density_kg_m3"),

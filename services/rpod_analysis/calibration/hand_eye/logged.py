@@ -15,12 +15,14 @@ from rpod_analysis.calibration.hand_eye.poses import StampedPoses
 from rpod_analysis.errors import CalibrationError, NoEstimatorError, NoFramesError, NoTruthError
 from rpod_analysis.log import Log
 from rpod_analysis.log.sensors import Sensor, find_sensors
+from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.navigate import configured_estimator, estimator_outputs
 from rpod_analysis.scoring.run import estimate_prefix
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.sensor import RANGE_OFFSET_SIGMA_M
 from rpod_schemas.config.source import SourceConfig
+from rpod_schemas.messages import read_odometry
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, ESTIMATE, STATUS, TRUTH
 
@@ -128,7 +130,12 @@ def _estimates(log: Log, sensor: Sensor) -> StampedPoses:
 
 def _truth(log: Log) -> StampedPoses:
     name = log.paths[0].name
-    entries = list(log.odometry(TRUTH))
+    stamps, entries = StampCheck(log), []
+    for logged in log.messages(TRUTH):
+        with log.unreadable.left_out(logged):
+            entry = read_odometry(logged.decode())
+            stamps.check(logged, entry.stamp_ns)
+            entries.append(entry)
     if not entries:
         raise NoTruthError(name, TRUTH.name)
     if foreign := {entry.frame_id for entry in entries} - {CHASER}:

@@ -207,6 +207,14 @@ def test_two_frequencies_have_a_wave_each():
     assert heights[30e6] == pytest.approx(-0.01, abs=1e-3)
 
 
+def test_a_frequency_and_its_half_share_waves_that_count_once():
+    hertz = 15e6, 30e6
+    found = fit(invented(wave(4, 0.0, -0.02, 15e6), wave(4, 0.0, -0.01, 30e6), hertz=hertz))
+    heights = {item.modulation_frequency_hz: item.sin_m for item in found.harmonics if item.order == 4}
+    assert heights[15e6] == pytest.approx(-0.02, abs=1e-3)
+    assert heights[30e6] == pytest.approx(-0.01, abs=1e-3)
+
+
 def test_a_calibration_of_another_frequency_is_not_checked():
     with pytest.raises(CalibrationError, match="modulation_frequency_hz"):
         evidence(invented(), DepthCalibration(modulation_frequency_hz=(30e6,)))

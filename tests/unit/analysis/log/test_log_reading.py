@@ -12,10 +12,13 @@ from rosbags.rosbag2 import Writer as BagWriter
 from synthetic_log import EPOCH_NS, SyntheticRun
 
 from rpod_analysis import AnalysisError, find_sensors, open_log, pmd_frames, read_run
+from rpod_analysis.errors import NoLogError
+from rpod_analysis.log.log_file import files_of
 from rpod_analysis.recovery import recover
 from rpod_schemas.logs import MESSAGE_ENCODING, SCHEMA_ENCODING
 from rpod_schemas.messages import read_image
 from rpod_schemas.rmw.cdr import definition, typestore
+from rpod_schemas.texts import is_count
 from rpod_schemas.topics import DEPTH, TRUTH
 
 SECOND = 1_000_000_000
@@ -190,3 +193,16 @@ def test_ten_gigabytes_are_opened_and_sliced_by_reading_a_few_kilobytes(tmp_path
         assert log.topics[TRUTH.name].count == 200
         assert 0 < stream.bytes < 10_000
     os.truncate(path, 0)
+
+
+def test_a_path_that_the_system_cannot_look_up_is_no_log(tmp_path):
+    with pytest.raises(NoLogError):
+        files_of(tmp_path / ("x" * 5000))
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [("0", True), ("18446744073709551615", True), ("9" * 5000, False), ("1.5", False), ("-1", False)],
+)
+def test_a_count_has_twenty_digits_at_most(text, count):
+    assert is_count(text) is count
