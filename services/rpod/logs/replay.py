@@ -18,7 +18,6 @@ from rpod import __version__
 from rpod.errors import failed
 from rpod.log_options import check_part
 from rpod_analysis import AnalysisError, Log, open_log
-from rpod_analysis.errors import NothingReplayedError
 from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
@@ -175,8 +174,6 @@ def _replay(
         end_s=end_s,
         follow=follow,
     )
-    if not replayed.frames:
-        raise NothingReplayedError(opened.paths[0], as_live=as_live)
     compared = compare(opened, replayed)
     return ReplayReport(
         log=str(opened.paths[0]),

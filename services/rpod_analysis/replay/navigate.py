@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from rpod_analysis.errors import CannotWriteError, NoEstimatorError, NoSensorDataError
+from rpod_analysis.errors import CannotWriteError, NoEstimatorError, NoSensorDataError, NothingReplayedError
 from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.stamp_check import StampCheck
@@ -142,6 +142,8 @@ def replay(
                 written.add(feed.checked(frames.take(logged)), arrival_ns=logged.log_ns)
                 follow((logged.log_ns - log.start_ns) / NANOSECONDS)
             written.add(feed.checked(frames.rest()), arrival_ns=written.last_ns)
+            if not feed.processing_s:
+                raise NothingReplayedError(log.paths[0], as_live=as_live)
     except OSError as error:
         raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
     return Replayed(
