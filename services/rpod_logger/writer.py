@@ -106,7 +106,12 @@ class LogFile:
         self._writer.start(profile=PROFILE, library=settings.library)
 
     def _begin_chain(self, before: Path | None) -> ChainWriter:
-        chain = ChainWriter(self.path, key=self._settings.key, continues=before)
+        try:
+            chain = ChainWriter(self.path, key=self._settings.key, continues=before)
+        except OSError:  # also where the chain of a log that was deleted is still there
+            self._disk.close()
+            self.path.unlink(missing_ok=True)
+            raise
         self._disk.appended = chain.add
         return chain
 

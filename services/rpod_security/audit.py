@@ -9,10 +9,13 @@ import hashlib
 import json
 import os
 from datetime import UTC, datetime
+from functools import partial
+from io import FileIO
 from pathlib import Path
 from threading import Lock
 
 from rpod_security.errors import AuditError
+from rpod_security.whole_line import append_line
 
 _FIRST = "0" * 64
 _LONGEST_TEXT = 2_000
@@ -44,12 +47,8 @@ class AuditRecord:
                 }
             ).encode()
             try:
-                with open(  # noqa: PTH123 - with a mode of the file
-                    os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "ab"
-                ) as stream:
-                    stream.write(line + b"\n")
-                    stream.flush()
-                    os.fsync(stream.fileno())
+                with FileIO(self._file, "a", opener=partial(os.open, mode=0o600)) as stream:
+                    append_line(stream, line)
             except OSError as error:
                 raise AuditError(f"{self._file} cannot be written ({error.strerror})") from error
             self._last = _digest(line)

@@ -11,10 +11,11 @@ chain anew. With a key that takes the key, or the host of the logger.
 
 import hashlib
 import json
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
+
+from rpod_security.whole_line import append_line
 
 SUFFIX = ".chain"
 """Added to the name of a log."""
@@ -42,16 +43,21 @@ class ChainWriter:
         self._digest = hashlib.sha256()
         self._size = self._sealed = 0
         self._last = FIRST
-        self._descriptor = os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
-        self._append(
-            {
-                "log": log.name,
-                "version": 1,
-                "continues": continues.name if continues else None,
-                "continued": last_digest(continues) if continues else FIRST,
-                "certificate": key.certificate_pem if key else None,
-            }
-        )
+        self._stream = self._file.open("xb", buffering=0)
+        try:
+            self._append(
+                {
+                    "log": log.name,
+                    "version": 1,
+                    "continues": continues.name if continues else None,
+                    "continued": last_digest(continues) if continues else FIRST,
+                    "certificate": key.certificate_pem if key else None,
+                }
+            )
+        except OSError:
+            self.close()
+            self._file.unlink(missing_ok=True)
+            raise
 
     def add(self, data: bytes) -> None:
         """Take bytes that were appended to the log."""
@@ -67,15 +73,14 @@ class ChainWriter:
 
     def close(self) -> None:
         """Close the file; the log may go on without a chain."""
-        os.close(self._descriptor)
+        self._stream.close()
 
     def _append(self, line: dict[str, Any]) -> None:
         line |= {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "before": self._last}
         text = canonical(line)
         if self._key is not None:
             text = canonical(line | {SIGNATURE: self._key.sign(text)})
-        os.write(self._descriptor, text + b"\n")
-        os.fsync(self._descriptor)
+        append_line(self._stream, text)
         self._last = hashlib.sha256(text).hexdigest()
 
 

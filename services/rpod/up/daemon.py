@@ -83,7 +83,7 @@ class Daemon:
         self._hang_s = service.settings.hang_s
         """Limit of the present process, which was told of it when it was started."""
         self._reason = ""
-        self._at_work = True
+        self._at_work, self._reload_due = True, False
         self._address = sockets / service.name
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -116,7 +116,7 @@ class Daemon:
         self._started_s = self._heard_s = self._clock.now_s()
         self._ready_s, self._hang_s = 0.0, self.service.settings.hang_s
         self.state, self.message, self._reason = "starting", "", ""
-        self._at_work = True
+        self._at_work, self._reload_due = True, False
         log.info("%s: started, process %d", self.name, self._process.pid)
 
     def _spawn(self, *, in_reserve: bool = False) -> subprocess.Popen[bytes]:
@@ -156,8 +156,9 @@ class Daemon:
             self._files.write_config(service.config)
         except OSError as error:
             log.error("%s: its configuration cannot be written: %s", self.name, error)
-        if self.state == "ready":  # before that, a process does not handle the signal yet
+        if self.state == "ready":
             self.send(signal.SIGHUP)
+        self._reload_due = self.state == "starting"  # a process does not handle the signal yet
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the process, if there is one."""
@@ -200,6 +201,9 @@ class Daemon:
             self._at_work = True
             self.state, self._ready_s = "ready", self._heard_s
             log.info("%s: ready after %.1f s", self.name, self._heard_s - self._started_s)
+            if self._reload_due:
+                self._reload_due = False
+                self.send(signal.SIGHUP)
         if AT_WORK in told:
             self._at_work = told[AT_WORK] != "0"
             level = logging.INFO if self._at_work else logging.ERROR

@@ -1,6 +1,7 @@
 """One MCAP file, read back by three independent readers."""
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from rpod_logger import writer
 from rpod_logger.writer import WriterSettings, channel_topic, create_log
 from rpod_schemas.rmw.cdr import type_hash
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ROSOUT, TF_STATIC, Namespace, Topic
+from rpod_security.log_verification import verify
 
 SETTINGS = WriterSettings(Namespace(), "rpod test")
 RAW = Topic("lab/raw", "")
@@ -140,6 +142,16 @@ def test_a_file_sorts_behind_all_earlier_ones_of_its_name_whichever_are_left(tmp
             (tmp_path / "run_0004.mcap").unlink()
     names = sorted(path.name for path in tmp_path.glob("run*.mcap"))
     assert names == [*(f"run_{number:04d}.mcap" for number in (2, 3, *range(5, 13))), "run_later.mcap"]
+
+
+def test_a_chain_whose_log_was_deleted_leaves_no_empty_log(tmp_path, arrive):
+    settings = replace(SETTINGS, chained=True)
+    (tmp_path / "run.mcap.chain").write_text("of a log that was deleted")
+    log = create_log(tmp_path, "run", settings)
+    log.write(arrive(CLOCK, 1))
+    log.close()
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["run_0002.mcap"]
+    assert verify(log.path).intact
 
 
 def test_what_was_synced_is_readable_without_a_close(tmp_path, arrive):

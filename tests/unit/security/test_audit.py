@@ -1,3 +1,5 @@
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -46,3 +48,20 @@ def test_a_record_that_cannot_be_written_is_an_error(tmp_path: Path):
     (tmp_path / "audit.jsonl").mkdir()
     with pytest.raises(AuditError, match="cannot be written"):
         record.add(role="operator", verb="stop", request="", outcome="")
+
+
+def test_a_line_that_did_not_reach_the_disk_is_not_in_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    record = AuditRecord(tmp_path / "audit.jsonl", "logger")
+    record.add(role="operator", verb="stop", request="1", outcome="accepted")
+
+    def fail(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "fsync", fail)
+        with pytest.raises(AuditError, match="No space left"):
+            record.add(role="operator", verb="stop", request="2", outcome="accepted")
+    record.add(role="operator", verb="stop", request="3", outcome="accepted")
+    assert check(tmp_path / "audit.jsonl") == 2
