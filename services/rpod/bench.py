@@ -67,7 +67,7 @@ class Row:
 
 def bench_command(*, as_json: bool) -> int:
     """Measure and print; return the exit code."""
-    console = Console(stderr=True, quiet=as_json)
+    console = Console(markup=False, stderr=True, quiet=as_json)
     rows: list[Row] = []
     for measure in (_rays, _lidar, _pmd, _bus, _log):
         console.print(f"measuring {measure.__name__.strip('_')} ...", style="dim")

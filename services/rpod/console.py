@@ -11,4 +11,4 @@ def table_console(*, plain_width: int = 160) -> Console:
     Args:
         plain_width: width of a line where standard output is no terminal, characters.
     """
-    return Console(width=None if sys.stdout.isatty() else plain_width)
+    return Console(markup=False, width=None if sys.stdout.isatty() else plain_width)

@@ -11,7 +11,7 @@ class Steps:
     """Says what a verb does now; nothing if it is quiet."""
 
     def __init__(self, *, quiet: bool) -> None:
-        self._console = Console(stderr=True, quiet=quiet, highlight=False)
+        self._console = Console(markup=False, stderr=True, quiet=quiet, highlight=False)
         self._status: Status | None = None
 
     def __enter__(self) -> Self:
@@ -26,7 +26,7 @@ class Steps:
     def say(self, text: str) -> None:
         """Say which step begins."""
         if not self._console.is_terminal:
-            self._console.print(f"{text} ...", soft_wrap=True, markup=False)
+            self._console.print(f"{text} ...", soft_wrap=True)
         elif self._status is None:
             self._status = self._console.status(f"{text} ...")
             self._status.start()

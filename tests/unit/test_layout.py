@@ -88,6 +88,12 @@ def test_kernels_are_compiled_in_one_way():
     assert not others, others
 
 
+def test_no_console_takes_brackets_of_a_path_for_markup():
+    consoles = [line for file in SOURCES for line in re.findall(r"(?<!\w)Console\(.*", file.read_text("utf-8"))]
+    assert consoles
+    assert [line for line in consoles if "markup=False" not in line] == []
+
+
 @pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_no_module_is_a_drawer_for_odds_and_ends(file):
     assert file.stem not in ("utils", "helpers", "common", "misc", "util", "helper")

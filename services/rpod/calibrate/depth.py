@@ -49,7 +49,7 @@ def calibrate_command(
 
 
 def _print(calibration: DepthCalibration, bins: Sequence[RangeBin], written: Path | None) -> None:
-    console, found = Console(), calibration.evidence
+    console, found = Console(markup=False), calibration.evidence
     assert found is not None  # noqa: S101 - told by the caller
     console.print(_errors(calibration))
     console.print(_ranges(bins))

@@ -27,7 +27,7 @@ class CampaignProgress:
     def __init__(self, prepared: Prepared, *, quiet: bool) -> None:
         self._prepared, self._done = prepared, len(prepared.done)
         self._resumed = self._done
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = Console(markup=False, stderr=True, quiet=quiet)
         self._begin_s = self._said_s = time.monotonic()
         self._bar: Progress | None = None
         self._show: Callable[[], None] = self._print_plain

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.table import Table
+from rich.text import Text
 
 from rpod import __version__
 from rpod.console import table_console
@@ -106,5 +107,5 @@ def _print(findings: list[Finding]) -> None:
     for heading in ("check", "", "found", "do"):
         table.add_column(heading)
     for each in findings:
-        table.add_row(each.check, f"[{_STYLES[each.level]}]{each.level}[/]", each.text, each.remedy)
+        table.add_row(each.check, Text(each.level, _STYLES[each.level]), each.text, each.remedy)
     table_console().print(table)

@@ -9,6 +9,7 @@ from threading import Event
 from typing import Any
 
 from rich.table import Table
+from rich.text import Text
 
 from rpod import __version__
 from rpod.console import table_console
@@ -153,8 +154,7 @@ def show(results: list[CheckResult]) -> None:
         table.add_column(column, overflow="fold")
     for each in _folded(results):
         faults = f" [{', '.join(each.faults)}] {each.remedy}" if each.faults else ""
-        text = each.text + faults
-        table.add_row(each.line, f"[{_STYLES[each.level]}]{each.level}[/]", text.replace("[", r"\["))
+        table.add_row(each.line, Text(each.level, _STYLES[each.level]), each.text + faults)
     table_console().print(table)
 
 

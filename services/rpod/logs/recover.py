@@ -27,7 +27,7 @@ def recover_command(log: Path, *, out: Path | None, as_json: bool) -> int:
 
 
 def _print(recovery: Recovery) -> None:
-    console = Console()
+    console = Console(markup=False)
     table = Table(title=f"{recovery.messages} messages recovered", title_justify="left")
     table.add_column("topic", no_wrap=True)
     table.add_column("messages", justify="right")

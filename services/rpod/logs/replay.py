@@ -221,7 +221,7 @@ def _cell(side: Side | None, form: str, of: Callable[[Side], float | None]) -> s
 
 
 def _print_report(report: ReplayReport) -> None:
-    console = Console()
+    console = Console(markup=False)
     table = Table(title=f"{report.frames} frames replayed", title_justify="left")
     table.add_column("", style="dim")
     for column in ("logged", "replayed"):

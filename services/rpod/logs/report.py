@@ -29,7 +29,7 @@ def report_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> 
     if as_json:
         print(text, end="")
         return EXIT_OK
-    console = Console()
+    console = Console(markup=False)
     one = len(runs) == 1
     for summary in [Summary.model_validate_json(text)] if one else Comparison.model_validate_json(text).runs:
         print_summary(summary, console, name="" if one else _run_name(summary))

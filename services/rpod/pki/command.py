@@ -179,7 +179,7 @@ def show_command(folder: Path, *, as_json: bool) -> None:
     table = Table("name", "role", "common name", "state", box=None)
     for entry in authority.entries:
         table.add_row(entry.name, entry.role, entry.identity.common_name, _state(entry))
-    console = Console()
+    console = Console(markup=False)
     console.print(table)
     console.print(f"authority: ends {authority.ends:%Y-%m-%d}\nroles:", highlight=False)
     for name, role in ROLES.items():

@@ -105,7 +105,7 @@ def _speed(speed: str) -> Speed:
 def _print(summary: Summary, paths: "ReportPaths") -> None:
     from rpod.summary_table import print_summary  # noqa: PLC0415 - it needs what the report loads
 
-    console = Console()
+    console = Console(markup=False)
     print_summary(summary, console)
     console.print(f"log      {summary.log}", soft_wrap=True, highlight=False)
     console.print(f"report   {paths.html}", soft_wrap=True, highlight=False)

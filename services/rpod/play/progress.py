@@ -60,7 +60,7 @@ class Progress:
     """The progress of a run: a line that is redrawn on a terminal, elsewhere a new line every few seconds."""
 
     def __init__(self, *, quiet: bool) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = Console(markup=False, stderr=True, quiet=quiet)
         self._live: Live | None = None
         self._seen = _Seen()
         self._inbox = Inbox()

@@ -32,12 +32,12 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
     if as_json:
         print(json.dumps(_new_document(made), indent=2))
         return EXIT_OK
-    console = Console(highlight=False)
+    console = Console(markup=False, highlight=False)
     for text in made.told:
-        console.print(f"{text}", soft_wrap=True, markup=False)
-    console.print(f"size     {_sides(made.target)} m: is this the satellite's?", soft_wrap=True, markup=False)
-    console.print(f"target   {made.file}", soft_wrap=True, markup=False)
-    console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True, markup=False)
+        console.print(f"{text}", soft_wrap=True)
+    console.print(f"size     {_sides(made.target)} m: is this the satellite's?", soft_wrap=True)
+    console.print(f"target   {made.file}", soft_wrap=True)
+    console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True)
     return EXIT_OK
 
 
@@ -94,10 +94,10 @@ def check_command(
         written = {"page": str(files.page), "picture": str(files.picture)}
         print(json.dumps(found.document() | written, indent=2))
         return EXIT_OK
-    console = Console(highlight=False)
+    console = Console(markup=False, highlight=False)
     _print(found, console)
-    console.print(f"page     {files.page}", soft_wrap=True, markup=False)
-    console.print(f"picture  {files.picture}", soft_wrap=True, markup=False)
+    console.print(f"page     {files.page}", soft_wrap=True)
+    console.print(f"picture  {files.picture}", soft_wrap=True)
     return EXIT_OK
 
 
@@ -124,15 +124,15 @@ def _print(found: TargetCheck, console: Console) -> None:
         soft_wrap=True,
     )
     for text in found.repairs:
-        console.print(f"repaired  {text}", soft_wrap=True, markup=False)
+        console.print(f"repaired  {text}", soft_wrap=True)
     for one in found.found_symmetries:
         axis = ", ".join(f"{value:.3f}" for value in one.axis)
         turn = "any turn" if one.continuous else f"order {one.order}"
         kind = "exact" if one.exact else "near" if one.mistaken else "near, but sensors can distinguish it"
-        console.print(f"symmetry  about ({axis}): {turn}, {kind}", markup=False)
+        console.print(f"symmetry  about ({axis}): {turn}, {kind}")
     ignored = [part.name for part in found.parts if part.unreliable]
     if ignored:
-        console.print(f"ignored   {', '.join(ignored)}: unreliable parts", soft_wrap=True, markup=False)
+        console.print(f"ignored   {', '.join(ignored)}: unreliable parts", soft_wrap=True)
     for frame in found.frames:
         place = ", ".join(f"{value:.4g}" for value in frame.place_m)
         angles = ", ".join(f"{value:.4g}" for value in frame.euler_321_deg)
@@ -150,9 +150,9 @@ def _print(found: TargetCheck, console: Console) -> None:
             text = (
                 f"{each.total.unseen} of {each.total.frames} frames show too little of the target to be tried"
             )
-            console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True, markup=False)
+            console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True)
         if each.reason:
-            console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True, markup=False)
+            console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True)
 
 
 def _methods(found: TargetCheck) -> Table:
