@@ -89,7 +89,8 @@ def test_kernels_are_compiled_in_one_way():
 
 
 def test_no_console_takes_brackets_of_a_path_for_markup():
-    consoles = [line for file in SOURCES for line in re.findall(r"(?<!\w)Console\(.*", file.read_text("utf-8"))]
+    sources = "\n".join(file.read_text("utf-8") for file in SOURCES)
+    consoles = re.findall(r"(?<!\w)Console\(.*", sources)
     assert consoles
     assert [line for line in consoles if "markup=False" not in line] == []
 
