@@ -10,6 +10,8 @@ import zenoh
 from live_bus import TIMEOUT_S
 from secure_bus import KEYS, SecureBus, secure_bus
 
+from rpod.doctor import bus as doctor
+from rpod.doctor.finding import Level
 from rpod_runtime import Inbox, Node, QueryFailedError
 from rpod_runtime.bus.refusal import refusal_in
 from rpod_runtime.bus.session import free_endpoint, open_client, open_router
@@ -211,6 +213,20 @@ def test_status_tells_nothing_of_keys(bus: SecureBus):
         reply = operator.ask("estimator", "status", StatusReply)
     secret = (bus.pki / "estimator" / "identity.pem").read_text().split("PRIVATE KEY")[1]
     assert secret.split()[1] not in reply.model_dump_json()
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "text"),
+    [
+        ("operator", Level.FAIL, "rpod test; here is"),
+        ("guidance", Level.UNCHECKED, "none answers to guidance"),
+    ],
+)
+def test_the_doctor_asks_by_the_name_of_its_certificate(bus: SecureBus, name: str, level: Level, text: str):
+    with bus.node("estimator"):
+        *_, services = doctor.link(bus.bus(name, wait=False))
+    assert services.level is level
+    assert text in services.text
 
 
 def test_a_certificate_that_ends_soon_is_in_the_diagnostics_until_it_is_renewed(bus: SecureBus):

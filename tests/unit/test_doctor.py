@@ -4,11 +4,13 @@ import json
 import socket
 
 import pytest
+import yaml
 
 from rpod.doctor.bus import check_link
 from rpod.doctor.command import doctor_command
 from rpod.doctor.finding import Level
 from rpod.doctor.host import check_clock, check_disk, clock, disk, port, room, versions
+from rpod_security.authority import Authority
 
 
 @pytest.mark.parametrize(
@@ -75,3 +77,25 @@ def test_without_a_router_the_command_fails_and_says_what_to_start(tmp_path, cap
     (link,) = (each for each in told["findings"] if each["check"].startswith("link"))
     assert link["level"] == "fail"
     assert "rpod router" in link["remedy"]
+
+
+def test_the_certificate_of_each_service_of_a_facility_is_checked(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rpod.doctor.host._DISK_BYTES", 1 << 20)
+    monkeypatch.setattr("rpod.doctor.command._TIMEOUT_S", 0.1)
+    credentials = Authority.create(tmp_path / "pki").issue("logger", "logger")
+    bus = {"connect": "tls/127.0.0.1:9", "credentials": str(credentials)}
+    others = bus | {"credentials": str(tmp_path / "none")}
+    services = {
+        "logger": {"verb": "logger"},
+        "estimator": {
+            "verb": "estimator",
+            "config": {"target": "mockup", "sensors": [{"kind": "pmd"}], "bus": others},
+        },
+    }
+    file = tmp_path / "hall.yaml"
+    file.write_text(yaml.safe_dump({"name": "hall", "services": services, "bus": bus}), "utf-8")
+    code = doctor_command(file, connect=None, other_router=None, directory=tmp_path, as_json=True)
+    told = {each["check"]: each for each in json.loads(capsys.readouterr().out)["findings"]}
+    assert code == 1
+    assert told["certificate logger"]["level"] == "ok"
+    assert told["certificate none"]["level"] == "fail"

@@ -31,12 +31,18 @@ class Visitor(Asker):
     def __init__(self, session: zenoh.Session, bus: BusConfig) -> None:
         self.stop = Event()
         self._session, self._keys = session, bus.keys
-        self._identity = open_identity(ServiceConfig(instance="doctor", bus=bus))
+        self._secure = bus.credentials is not None
+        self._identity = open_identity(ServiceConfig(instance=_instance(bus), bus=bus))
 
     def versions(self) -> Iterator[Finding]:
         """Compare the versions of the services on the bus with this one."""
         told = self.ask_all("status", StatusReply)
-        if not told:
+        if not told and self._secure:
+            yield Finding(
+                "services", Level.UNCHECKED, f"none answers to {self._identity.name}",
+                "if some run: give bus.credentials of an operator, who may ask all for their status",
+            )  # fmt: skip
+        elif not told:
             yield Finding("services", Level.OK, "none is on the bus")
         for each in sorted(told, key=lambda reply: reply.name):
             same = each.version == __version__
@@ -47,8 +53,22 @@ class Visitor(Asker):
             )  # fmt: skip
 
 
+def _instance(bus: BusConfig) -> str:
+    """Return the name by which the doctor asks; on a secure bus its certificate states it."""
+    if bus.credentials is None:
+        return "doctor"
+    from rpod_security.credentials import Credentials  # noqa: PLC0415 - of an extra
+
+    return Credentials.read(bus.credentials).identity.name
+
+
 def link(bus: BusConfig) -> Iterator[Finding]:
-    """Measure the link to the router, and ask what is on the bus. Raises ``NoRouterError``."""
+    """Measure the link to the router, and ask what is on the bus.
+
+    Raises:
+        NoRouterError: no router answers.
+        CredentialsError: the folder of credentials cannot be used.
+    """
     with ExitStack() as stack:
         asker, answerer = (stack.enter_context(open_client(bus)) for _ in range(2))
         key = bus.keys.control(f"doctor-{token_hex(4)}", "echo")

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from rich.table import Table
@@ -16,10 +16,11 @@ from rpod.doctor import host
 from rpod.doctor.finding import Finding, Level
 from rpod.errors import failed
 from rpod.up.resolved import resolve_facility
+from rpod_runtime.errors import NoRouterError, RefusedByRouterError
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
 from rpod_schemas.config.base import check
 from rpod_schemas.config.facility.logger import LoggerConfig
-from rpod_schemas.config.service import BusConfig, RouterConfig
+from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.errors import ConfigurationError, RpodError
 
 _STYLES = {Level.OK: "green", Level.NOTE: "cyan", Level.FAIL: "bold red", Level.UNCHECKED: "yellow"}
@@ -36,12 +37,12 @@ def doctor_command(
 ) -> int:
     """Check this host, print a finding a line, and return 0 if none of them fails, 1 if one does."""
     try:
-        bus, listen, logs = _subject(facility, connect)
+        subject = _subject(facility, connect)
     except ConfigurationError as error:
         return failed("doctor", error)
     if not as_json:
         print("checking; the disk and the link take some seconds", file=sys.stderr)
-    findings = list(_examine(bus, listen, directory or logs, other_router))
+    findings = list(_examine(subject, directory or subject.logs, other_router))
     bad = [each for each in findings if each.level is Level.FAIL]
     if as_json:
         told = {"version": __version__, "ok": not bad, "findings": [asdict(each) for each in findings]}
@@ -51,38 +52,55 @@ def doctor_command(
     return EXIT_FAILURE if bad else EXIT_OK
 
 
-def _subject(facility: Path | None, connect: str | None) -> tuple[BusConfig, str | None, Path]:
-    """Return the bus, the endpoint on which this host's router listens, and the folder of logs."""
-    bus, listen, logs = BusConfig(), None, Path("runs")
+@dataclass
+class _Subject:
+    """What is examined beside the host itself."""
+
+    bus: BusConfig
+    listen: str | None = None
+    """Endpoint on which this host's router listens."""
+    logs: Path = Path("runs")
+    """Folder of the logs."""
+    credentials: list[Path | None] = field(default_factory=list)
+    """Folders of the credentials that services of this host have."""
+
+
+def _subject(facility: Path | None, connect: str | None) -> _Subject:
+    """Return what a facility's file and the options name. Raises ``ConfigurationError``."""
+    found = _Subject(BusConfig())
     if facility is not None:
         resolved = resolve_facility(facility)
-        bus = resolved.file.bus
+        found.bus = resolved.file.bus
         for service in resolved.services:
             if isinstance(service.config, RouterConfig):
-                listen = service.config.listen
-            elif isinstance(service.config, LoggerConfig):
-                logs = service.config.directory
+                found.listen = service.config.listen
+                found.credentials += service.config.credentials, service.config.link_credentials
+            elif isinstance(service.config, ServiceConfig):
+                found.credentials.append(service.config.bus.credentials)
+            if isinstance(service.config, LoggerConfig):
+                found.logs = service.config.directory
+    found.credentials.append(found.bus.credentials)
     changes = {"wait": False, "connect_timeout_s": _TIMEOUT_S} | ({"connect": connect} if connect else {})
-    return check(BusConfig, bus.model_dump() | changes, source="--connect"), listen, logs
+    found.bus = check(BusConfig, found.bus.model_dump() | changes, source="--connect")
+    return found
 
 
-def _examine(bus: BusConfig, listen: str | None, logs: Path, other: str | None) -> Iterator[Finding]:
+def _examine(subject: _Subject, logs: Path, other: str | None) -> Iterator[Finding]:
+    bus, listen = subject.bus, subject.listen
     yield from host.versions()
     yield host.clock()
     yield from host.room()
     yield from host.disk(logs)
-    if bus.credentials is not None:
-        yield _certificate(bus.credentials)
+    yield from map(_certificate, dict.fromkeys(filter(None, subject.credentials)))
     try:
         found = list(over_bus.link(bus))
-    except RpodError as error:
-        remedy = "start it: rpod up, or rpod router"
-        found = [
-            Finding(f"link {bus.connect}", Level.FAIL if listen is None else Level.NOTE, str(error), remedy)
-        ]
-        reachable = False
-    else:
         reachable = True
+    except NoRouterError as error:
+        level, remedy = Level.FAIL if listen is None else Level.NOTE, "start it: rpod up, or rpod router"
+        found, reachable = [Finding(f"link {bus.connect}", level, str(error), remedy)], False
+    except RpodError as error:  # its text says what to do
+        found = [Finding(f"link {bus.connect}", Level.FAIL, str(error))]
+        reachable = isinstance(error, RefusedByRouterError)
     if listen is not None:
         yield host.port(listen, reachable=reachable)
     yield from found
@@ -96,10 +114,11 @@ def _examine(bus: BusConfig, listen: str | None, logs: Path, other: str | None) 
 def _certificate(folder: Path) -> Finding:
     from rpod_security.credentials import ExpiryWatch  # noqa: PLC0415 - of an extra
 
-    warning = ExpiryWatch(folder).warning()
+    check, warning = f"certificate {folder.name}", ExpiryWatch(folder).warning()
     if warning:
-        return Finding("certificate", Level.FAIL, warning, "rpod pki renew, and copy the folder to this host")
-    return Finding("certificate", Level.OK, f"{folder} can be used")
+        remedy = "rpod pki renew, and copy the folder to this host"
+        return Finding(check, Level.FAIL, warning, remedy)
+    return Finding(check, Level.OK, f"{folder} can be used")
 
 
 def _print(findings: list[Finding]) -> None:
