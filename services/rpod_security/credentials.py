@@ -97,7 +97,9 @@ class ExpiryWatch:
             if self._credentials is None or changed_ns != self._changed_ns:
                 self._credentials, self._changed_ns = Credentials.read(self._folder), changed_ns
         except OSError as error:
-            return f"{self._folder}: the certificate cannot be read ({error.strerror})"
+            return (
+                f"the certificate cannot be used for the next connection: {self._folder} ({error.strerror})"
+            )
         except CredentialsError as error:
             return f"the certificate cannot be used for the next connection: {error}"
         return self._credentials.warning
