@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from functools import partial
 from threading import Event, Thread
 from types import TracebackType
-from typing import Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import zenoh
 import zenoh.ext
@@ -57,6 +57,7 @@ _FLOW_PERIOD_S = 0.9
 """Least time over which the rate of what arrives is taken, s: less than between two heartbeats."""
 _LINGER_S = 0.3
 """Time that a node stays open after its last numbers, so that receivers can recover what they missed."""
+_ROS_CLIENT = "a ROS 2 client"
 
 
 class Node(Asker):
@@ -302,18 +303,17 @@ class Node(Asker):
         With ``ros`` it is answered as a ROS 2 service too, unless the configuration leaves them out.
         """
         served = Served(self._keys, self.config.instance, verb, request, handler, self._identity, self.health)
-        queryable = self._session.declare_queryable(served.key, served.answer)
-        self._stack.callback(queryable.undeclare)
+        self._stack.callback(self._session.declare_queryable(served.key, served.answer).undeclare)
         if ros is not None and self.config.bus.ros_services:
 
-            def obey(asked: RequestT) -> BaseModel:
+            def obey(call: Any) -> Any:
+                request = (asked := ros.request(call)).model_dump_json()
+                self._identity.record(asker=_ROS_CLIENT, verb=verb, request=request, outcome="asked")
                 reply = handler(asked)
-                self.note_command(verb, asked.model_dump_json())
-                return reply
+                self.note_command(verb, request)
+                return ros.accepted(reply)
 
-            self._ros.serve(
-                verb, ros.type, answer=lambda call: ros.accepted(obey(ros.request(call))), refuse=ros.refused
-            )
+            self._ros.serve(verb, ros.type, answer=obey, refuse=ros.refused)
 
     def show(self, service: Service) -> None:
         """Declare the liveliness token of a ROS 2 service, by which clients find it."""
@@ -321,7 +321,7 @@ class Node(Asker):
 
     def note_command(self, verb: str, request: str) -> None:
         """Keep a command of a ROS 2 client in diagnostics, log and audit record."""
-        self._identity.record(asker="a ROS 2 client", verb=verb, request=request, outcome="accepted")
+        self._identity.record(asker=_ROS_CLIENT, verb=verb, request=request, outcome="accepted")
         self.health.note_command(verb, request)
 
     def status(self) -> StatusReply:
@@ -352,8 +352,8 @@ class Node(Asker):
             self.parameters.renew(name, value)
         self.health.set_text("configuration/read_again", text)
         names = ", ".join(reply.needs_restart)
-        differs = f"the file differs in {names}: restart the service, or correct it" if names else ""
-        self.health.alarm("configuration", differs)
+        differs = f"the file differs in {names}: restart the service, or correct it"
+        self.health.alarm("configuration", differs if names else "")
 
     # --- life ---
 

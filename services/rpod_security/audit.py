@@ -1,8 +1,8 @@
 """The audit record of a service: who gave which command, when, and with what outcome.
 
 Lines are appended and never changed. Each is a JSON object with the digest of the line before, so that
-``check`` finds a line that was changed, removed or put in. Nobody notices if the last lines are cut off:
-send the record elsewhere if that matters.
+``check`` finds a line that was changed, removed or put in before another one. Nobody notices if the last line
+is changed, or if the last lines are cut off: send the record elsewhere if that matters.
 """
 
 import hashlib
@@ -20,8 +20,9 @@ from rpod_security.whole_line import append_line
 _FIRST = "0" * 64
 _LONGEST_TEXT = 2_000
 """Largest number of characters of a request or an outcome in the record."""
-_TAIL_BYTES = 16_384
-"""Length of the end of a file in which its last line is looked for; a line is shorter."""
+_TAIL_BYTES = 1 << 16
+"""Length of the end of a file in which its last line is looked for; a line is shorter, although a character
+may become 12 bytes."""
 
 
 class AuditRecord:
@@ -58,7 +59,7 @@ def check(file: Path) -> int:
     """Return the number of lines of an audit record.
 
     Raises:
-        AuditError: a line is not as it was written; the error names its number.
+        AuditError: a line before the last one is not as it was written; the error names its number.
     """
     before = _FIRST
     number = 0

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from pydantic import AwareDatetime, TypeAdapter, ValidationError
@@ -95,7 +96,7 @@ class Authority:
             raise AuthorityError(
                 f"{own} holds no authority ({error.strerror}); make one with 'rpod pki init'"
             ) from error
-        except (ValueError, ValidationError) as error:
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: the key has a passphrase
             raise AuthorityError(f"{own} cannot be read: {str(error).splitlines()[0]}") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise AuthorityError(f"{own / _KEY}: is no key of an elliptic curve")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Self
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -33,7 +33,7 @@ class SigningKey:
             pem = file.read_bytes()
             key = serialization.load_pem_private_key(pem, None)
             certificate = x509.load_pem_x509_certificate(pem)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: a passphrase
             raise ChainError(file, f"cannot sign a log ({error})") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise ChainError(file, "cannot sign a log: is no key of an elliptic curve")

@@ -101,9 +101,9 @@ def test_a_container_runs_a_verb_of_rpod_and_has_no_rights_and_limits(name):
     assert service["read_only"] is True
     assert service["security_opt"] == ["no-new-privileges:true"]
     assert {"mem_limit", "cpus", "restart"} <= set(service)
-    for volume in service["volumes"]:
-        source = re.split(r":(?=/)", volume)[0]
-        assert source.startswith("${RPOD_CONFIG") or source in COMPOSE["volumes"]
+    given = {"${RPOD_CONFIG:-./config}", f"${{RPOD_CREDENTIALS:-./credentials}}/{name}"}
+    sources = {re.split(r":(?=/)", volume)[0] for volume in service["volumes"]}
+    assert given <= sources <= given | set(COMPOSE["volumes"])
 
 
 def test_the_image_is_made_of_the_lock_with_its_hashes_and_of_what_the_wheel_needs():

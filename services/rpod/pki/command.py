@@ -199,4 +199,4 @@ def _state(entry: Entry) -> str:
 @_with_exit_code
 def audit_command(record: Path) -> None:
     """Check an audit record."""
-    print(f"{record}: {check(record)} lines, each as it was written")
+    print(f"{record}: {check(record)} lines; each before the last one is as it was written")

@@ -49,6 +49,7 @@ class Reloader:
         Raises:
             ConfigurationError: it is wrong; everything stays as it is.
             RefusedError: the service was started without a file.
+            AuditError: the command cannot be recorded; everything stays as it is.
         """
         with self._lock:
             if self._config is None or self._read is None:
@@ -56,17 +57,18 @@ class Reloader:
             new, old = self._read(), self._config
             live = live_fields(type(old))
             changed = {name: getattr(new, name) for name in live if getattr(new, name) != getattr(old, name)}
-            self._config = old.model_copy(update=changed)
-            document = _plain(self._config)
+            config = old.model_copy(update=changed)
+            document = _plain(config)
             reply = ReloadReply(
                 changed={name: document[name] for name in sorted(changed)},
                 needs_restart=tuple(sorted(_differences(document, _plain(new)))),
             )
+            for tell in self._listeners:
+                tell(config, reply)
+            self._config = config
             if "log_level" in changed:
                 logging.getLogger().setLevel(str(document["log_level"]).upper())
             log.warning("the configuration was read again: %s", describe(reply))
-            for tell in self._listeners:
-                tell(self._config, reply)
             return reply
 
 

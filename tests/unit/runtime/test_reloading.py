@@ -12,6 +12,7 @@ from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_security.errors import AuditError
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +74,20 @@ def test_a_wrong_file_changes_nothing():
     with pytest.raises(ConfigurationError):
         file.reloader.reload()
     assert file.told == []
+
+
+def test_a_reading_that_cannot_be_recorded_changes_nothing():
+    file = File(LoggerConfig())
+
+    def refuse(*_):
+        raise AuditError("no room")
+
+    file.reloader._listeners.insert(0, refuse)
+    with pytest.raises(AuditError):
+        file.write(split_bytes=1 << 20)
+    file.reloader._listeners.remove(refuse)
+    assert file.told == []
+    assert file.reloader.reload().changed == {"split_bytes": 1 << 20}
 
 
 def test_without_a_file_there_is_nothing_to_read_again():

@@ -11,7 +11,8 @@ from rpod_security.errors import AuditError
 def test_a_second_writer_that_comes_later_continues_the_record(tmp_path: Path):
     file = tmp_path / "audit.jsonl"
     for _ in range(3):
-        AuditRecord(file, "logger").add(role="operator", verb="stop", request="{}", outcome="accepted")
+        long = "\U0001f6f0" * 2000
+        AuditRecord(file, "logger").add(role="operator", verb="stop", request=long, outcome=long)
     assert check(file) == 3
     assert file.stat().st_mode & 0o777 == 0o600
 

@@ -3,6 +3,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives import serialization
 
 from rpod_security.authority import Authority
 from rpod_security.certificates import Identity
@@ -74,6 +75,16 @@ def test_the_ledger_survives(authority: Authority):
     again = Authority.open(authority.folder)
     assert [entry.name for entry in again.entries] == ["one"]
     assert not again.valid
+
+
+def test_a_key_with_a_passphrase_is_refused_in_one_line(authority: Authority):
+    file = authority.folder / "authority" / "key.pem"
+    key = serialization.load_pem_private_key(file.read_bytes(), None)
+    secret = serialization.BestAvailableEncryption(b"secret")
+    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, secret)
+    file.write_bytes(pem)
+    with pytest.raises(AuthorityError, match="cannot be read: Password was not given"):
+        Authority.open(authority.folder)
 
 
 def test_a_revoked_name_is_issued_again_with_the_next_generation(authority: Authority):
