@@ -43,7 +43,7 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
                 return
             subscriptions.hand_over(view)
             if viewer.has_taken(_PATIENCE_S):
-                node.health.count("drawn", view.draw())
+                node.health.count("drawn", view.draw(time.monotonic()))
             else:
                 node.health.count("skipped")
 

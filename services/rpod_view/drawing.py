@@ -196,7 +196,9 @@ class Drawing:
         self._recording.log(_ELLIPSOID, _ellipsoid(half_m, quaternion, estimate.translation))
         self._recording.log(f"{UNCERTAINTY}/ellipsoid", large)
         self._recording.log(f"{UNCERTAINTY}/end", end)
-        if truth is not None:
+        if truth is None:
+            self._recording.log(f"{UNCERTAINTY}/truth", rr.Clear(recursive=False))
+        else:
             error = (truth.translation - estimate.translation) / longest_m
             point = rr.Points3D([error], colors=palette.TRUTH, radii=_LARGEST_POINT)
             self._recording.log(f"{UNCERTAINTY}/truth", point)

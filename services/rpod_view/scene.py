@@ -95,6 +95,9 @@ class Scene:
         """The last integrity; None from an estimator that publishes none."""
         self.troubles: dict[str, Diagnostic] = {}
         """Last diagnostic of each service whose level is not OK."""
+        self._frame_ns = -1
+        self._arrival_s = self._status_arrival_s = 0.0
+        self._known_at_status_ns = -1
         self._estimate, self._status = ESTIMATE.under(prefix).name, STATUS.under(prefix).name
         self._integrity = INTEGRITY.under(prefix).name
         self._extrinsics = Extrinsics({})
@@ -112,12 +115,11 @@ class Scene:
 
     def take(self, received: Received) -> None:
         """Process a message. Raises ``MessageRejectedError``."""
-        name = received.topic.name
+        name, self._arrival_s = received.topic.name, received.arrival_s
         if name == self._estimate:
             self._take_estimate(read_odometry(received.decode()))
         elif name == self._status:
-            self.status = read_status(received.decode())
-            self._statuses.append(self.status)
+            self._take_status(read_status(received.decode()))
         elif name == self._integrity:
             self.integrity = read_integrity(received.decode())
             self._integrities.append(self.integrity)
@@ -129,6 +131,11 @@ class Scene:
             self._take_diagnostics(read_diagnostics(received.decode()))
         else:
             self._take_part(received)
+
+    def _take_status(self, status: EstimatorStatus) -> None:
+        self.status = status
+        self._statuses.append(status)
+        self._status_arrival_s, self._known_at_status_ns = self._arrival_s, self.known_ns
 
     def _take_diagnostics(self, diagnostics: list[Diagnostic]) -> None:
         for diagnostic in diagnostics:
@@ -171,6 +178,23 @@ class Scene:
 
     # --- data to draw ---
 
+    @property
+    def known_ns(self) -> int:
+        """Newest stamp of frames, truth, estimates and statuses; -1 if there is none."""
+        status_ns = self.status.stamp_ns if self.status is not None else -1
+        return max(self._frame_ns, self.truth.newest_ns, self.estimates.newest_ns, status_ns)
+
+    def silent_s(self, now_s: float | None) -> float:
+        """Return the time since the last status came, s: that of the arrivals or of the stamps, the longer.
+
+        Args:
+            now_s: present time, clock of the arrivals; None stands for the last arrival.
+        """
+        if self.status is None:
+            return 0.0
+        arrivals_s = (self._arrival_s if now_s is None else now_s) - self._status_arrival_s
+        return max(arrivals_s, (self.known_ns - self._known_at_status_ns) / NANOSECONDS)
+
     def frames(self, reject: Reject) -> Iterator[Frame]:
         """Yield the newest complete frame of each sensor that has a new, usable one."""
         while (chosen := self._frames.take()) is not None:
@@ -183,6 +207,7 @@ class Scene:
 
     def _frame(self, sensor: str, frame: Assembled[Received]) -> Frame:
         data = self._readers[sensor].read(frame)
+        self._frame_ns = data.stamp_ns
         try:
             mount = self._extrinsics.mount(sensor, data.frame_id)
         except ExtrinsicsError:

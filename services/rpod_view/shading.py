@@ -40,11 +40,11 @@ def depth_mm(depth_m: Float32Array, span_m: tuple[float, float]) -> NDArray[np.u
     """Return depths in millimetres, limited to a span; without depth the far end, which is dark.
 
     They are limited because Rerun's native and web versions draw values outside a colour scale differently.
+    Negative depths become 0.
     """
     near, far = span_m
-    millimetres: NDArray[np.uint16] = (
-        (MILLIMETRES * np.nan_to_num(depth_m, nan=far).clip(near, min(far, _FAR_M))).round().astype(np.uint16)
-    )
+    limited_m = np.nan_to_num(depth_m, nan=far).clip(near, min(far, _FAR_M)).clip(0.0)
+    millimetres: NDArray[np.uint16] = (MILLIMETRES * limited_m).round().astype(np.uint16)
     return millimetres
 
 

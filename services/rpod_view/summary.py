@@ -8,6 +8,8 @@ from rpod_schemas.types import Diagnostic, EstimatorStatus, Integrity, Integrity
 from rpod_view.scene import Scored
 from rpod_view.shading import MILLIMETRES, band
 
+_SILENT_S = 2.0
+"""Time without a status after which the table says so, s."""
 SOURCES = {
     Source.NONE: "none",
     Source.LIDAR: "LIDAR",
@@ -24,14 +26,23 @@ def summary(
     scored: Scored | None,
     troubles: Iterable[Diagnostic],
     integrity: Integrity | None = None,
+    silent_s: float = 0.0,
 ) -> str:
-    """Return Markdown of the last status, estimate and integrity, and what services warn of."""
+    """Return Markdown of the last status, estimate and integrity, and what services warn of.
+
+    Args:
+        status: the last status; None if there is none.
+        scored: the last estimate.
+        troubles: diagnostics whose level is not OK.
+        integrity: the last integrity.
+        silent_s: time since the last status, s.
+    """
     told = "".join(f"\n\n**{each.level.name}** {each.name}: {each.message}" for each in troubles)
     if status is None:
         return f"# no estimator\n\nWaiting for the estimator's first status.{told}"
     rows = [
         ("source", SOURCES[status.source]),
-        ("measurement", "accepted" if status.accepted else f"rejected: {status.reason or '-'}"),
+        ("measurement", _measurement(status)),
         ("processing", _value(1e3 * status.processing_s, "ms")),
     ]
     if status.mode.has_track and scored is not None:
@@ -39,7 +50,19 @@ def summary(
     if integrity is not None:
         rows += _rows_of_integrity(integrity)
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
-    return f"# {status.mode.name}\n\n| | |\n|---|---|\n{table}{told}"
+    silence = f"\n\n**no status for {int(silent_s)} s**" if silent_s > _SILENT_S else ""
+    return f"# {status.mode.name}{silence}\n\n| | |\n|---|---|\n{table}{told}"
+
+
+def _measurement(status: EstimatorStatus) -> str:
+    if not status.sensor:
+        return "-"
+    return "accepted" if status.accepted else f"rejected: {_cell(status.reason) or '-'}"
+
+
+def _cell(text: str) -> str:
+    """Return a text without the character that ends a cell of the table."""
+    return text.replace("|", "/")
 
 
 def _rows_of(scored: Scored) -> list[tuple[str, str]]:
@@ -62,7 +85,7 @@ def _rows_of(scored: Scored) -> list[tuple[str, str]]:
 
 
 def _rows_of_integrity(told: Integrity) -> list[tuple[str, str]]:
-    reason = told.reason.replace("|", "/") * (told.state != IntegrityState.NOMINAL)
+    reason = _cell(told.reason) * (told.state != IntegrityState.NOMINAL)
     position_mm, limit_mm = (MILLIMETRES * each for each in (told.position_level_m, told.position_limit_m))
     return [
         ("integrity", f"**{told.state.name}** {reason}".strip()),

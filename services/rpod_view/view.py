@@ -5,6 +5,7 @@ The daemon and the view of a log both use it.
 
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import RigidTransform
 
 from rpod_runtime import Received
 from rpod_schemas.errors import MessageRejectedError
@@ -39,6 +40,9 @@ class View:
         self._radius_m = target.radius_m if target else _RADIUS_M
         self._images: dict[str, dict[str, tuple[int, int]]] = {}
         self._eye: Eye | None = None
+        self._poses: tuple[object, ...] = ()
+        """What the poses were drawn from."""
+        self._summary = ""
         recording.send_blueprint(layout({}, None, self._radius_m))
 
     def take(self, received: Received) -> None:
@@ -48,8 +52,12 @@ class View:
         except MessageRejectedError as error:
             self._reject(received.topic.name, error)
 
-    def draw(self) -> int:
-        """Draw the new data; return the number of frames drawn."""
+    def draw(self, now_s: float | None = None) -> int:
+        """Draw what has changed; return the number of frames drawn.
+
+        Args:
+            now_s: present time, clock of the arrivals; None stands for the last arrival.
+        """
         statuses, scored = self._scene.statuses(), self._scene.estimated()
         self._plots.statuses(statuses)
         self._plots.integrities(self._scene.integrities())
@@ -57,13 +65,7 @@ class View:
         self._scored = scored[-1] if scored else self._scored
         frames = self._draw_frames()
         self._draw_poses(frames)
-        if statuses:
-            self._summarise(statuses[-1].stamp_ns)
-        elif frames and self._scene.status is None:
-            self._summarise(frames[-1].data.stamp_ns)
-        elif troubles := self._scene.troubles:
-            known_ns = max(self._scene.truth.newest_ns, self._scene.estimates.newest_ns)
-            self._summarise(known_ns if known_ns >= 0 else max(each.stamp_ns for each in troubles.values()))
+        self._draw_summary(now_s)
         return len(frames)
 
     def _draw_frames(self) -> list[Frame]:
@@ -79,18 +81,28 @@ class View:
         scene = self._scene
         stamp_ns = max([frame.data.stamp_ns for frame in frames] + [scene.estimates.newest_ns])
         stamp_ns = scene.truth.newest_ns if stamp_ns < 0 else stamp_ns
-        if stamp_ns >= 0:
-            estimate = scene.estimate_at(stamp_ns)
-            self._drawing.poses(stamp_ns, scene.truth.at(stamp_ns), estimate, scene.newest)
+        if stamp_ns < 0:
+            return
+        truth, estimate = scene.truth.at(stamp_ns), scene.estimate_at(stamp_ns)
+        covariance = scene.newest.pose_covariance.tobytes() if scene.newest else None
+        poses = (stamp_ns, _values(truth), _values(estimate), covariance, scene.integrity)
+        if poses != self._poses:
+            self._poses = poses
+            self._drawing.poses(stamp_ns, truth, estimate, scene.newest)
             self._drawing.level(estimate, scene.integrity)
 
-    def _summarise(self, stamp_ns: int) -> None:
-        text = rr.TextDocument(
-            summary(self._scene.status, self._scored, self._scene.troubles.values(), self._scene.integrity),
-            media_type="text/markdown",
-        )
-        self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-        self._recording.log(SUMMARY, text)
+    def _draw_summary(self, now_s: float | None) -> None:
+        """Draw the table at the newest known time."""
+        scene = self._scene
+        troubles = scene.troubles.values()
+        stamp_ns = scene.known_ns
+        if stamp_ns < 0:
+            stamp_ns = max((each.stamp_ns for each in troubles), default=-1)
+        text = summary(scene.status, self._scored, troubles, scene.integrity, scene.silent_s(now_s))
+        if stamp_ns >= 0 and text != self._summary:
+            self._summary = text
+            self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+            self._recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"))
 
     def _arrange(self, frame: Frame) -> None:
         """Send the layout again if a camera is new, or if the direction of the eye has become known."""
@@ -104,3 +116,7 @@ class View:
         if images != self._images or eye is not self._eye:
             self._images, self._eye = images, eye
             self._recording.send_blueprint(layout(images, eye, self._radius_m))
+
+
+def _values(pose: RigidTransform | None) -> bytes | None:
+    return None if pose is None else pose.as_matrix().tobytes()

@@ -10,6 +10,7 @@ import hmac
 import logging
 import os
 import secrets
+import select
 import socket
 import stat
 from collections.abc import Iterator
@@ -38,6 +39,8 @@ _MOST_CONNECTIONS = 64
 """Largest number of connections at a time; a browser opens six."""
 _SILENT_S = 60.0
 """Time without data after which a connection is closed, s."""
+_WATCH_S = 1.0
+"""Time without data from a server after which it is checked whether the browser is still there, s."""
 _MOST_BYTES = 1 << 16
 """Largest request: a browser sends a question of some bytes, and never data."""
 _CHUNK_BYTES = 1 << 16
@@ -132,7 +135,7 @@ class Gate:
         port = self._data_port if request.path.startswith(_DATA) else self._page_port
         headers = {name: text for name, text in request.headers if name.lower() not in {*_OWN_LINK, "cookie"}}
         target = quote(request.path, safe="/.") + ("?" + request.query_string.decode("latin-1")).rstrip("?")
-        link = HTTPConnection("127.0.0.1", port)
+        link = _Link(port, request.environ["werkzeug.socket"])
         try:
             link.request(request.method, target, body=request.get_data(), headers=headers)
             found = link.getresponse()
@@ -144,6 +147,48 @@ class Gate:
         answer.call_on_close(found.close)
         answer.call_on_close(link.close)
         return answer
+
+
+class _Link(HTTPConnection):
+    """A connection to a server behind the gate; it ends when the browser's connection has ended.
+
+    Args:
+        port: port of the server, on loopback.
+        browser: the browser's connection.
+    """
+
+    def __init__(self, port: int, browser: socket.socket) -> None:
+        super().__init__("127.0.0.1", port, timeout=_WATCH_S)
+        self._browser = browser
+
+    def connect(self) -> None:
+        """Connect to the server."""
+        super().connect()
+        self.sock = _Watching(self.sock, self._browser)
+
+
+class _Watching(socket.socket):
+    """Takes over a connected socket; while it waits for data, it watches the browser's connection."""
+
+    def __init__(self, connected: socket.socket, browser: socket.socket) -> None:
+        timeout_s = connected.gettimeout()
+        super().__init__(fileno=connected.detach())
+        self.settimeout(timeout_s)
+        self._browser = browser
+
+    def recv_into(self, *args: Any) -> int:
+        """Receive data; raise ``ConnectionAbortedError`` when the browser has closed its connection."""
+        while True:
+            try:
+                return super().recv_into(*args)
+            except TimeoutError:
+                if _is_closed(self._browser):
+                    raise ConnectionAbortedError("the browser has gone") from None
+
+
+def _is_closed(browser: socket.socket) -> bool:
+    readable, _, _ = select.select([browser], [], [], 0.0)
+    return bool(readable) and not browser.recv(1, socket.MSG_PEEK)
 
 
 def _stream(found: HTTPResponse) -> Iterator[bytes]:

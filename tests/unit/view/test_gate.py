@@ -1,12 +1,13 @@
 """Who gives the token sees the view, nobody else; a recording is only looked at."""
 
 import re
+import socket
 import stat
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
+from threading import Event, Thread
 from urllib.error import HTTPError
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 import pytest
@@ -24,8 +25,12 @@ class Server(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     name = ""
+    left = Event()
 
     def do_GET(self):
+        if self.path.endswith(("/silent", "/pausing")):
+            self.say_a_part()
+            return
         if self.path.endswith("/strange"):
             self.wfile.write(b"no answer by HTTP\r\n\r\n")
             self.close_connection = True
@@ -35,6 +40,18 @@ class Server(BaseHTTPRequestHandler):
         self.send_header("Transfer-Encoding", "chunked")
         self.end_headers()
         self.wfile.write(b"%x\r\n%s\r\n0\r\n\r\n" % (len(text), text))
+
+    def say_a_part(self):
+        self.send_response(200)
+        self.send_header("Content-Length", "8")
+        self.end_headers()
+        self.wfile.write(b"part")
+        if self.path.endswith("/silent"):
+            self.rfile.read(1)
+            self.left.set()
+        else:
+            Event().wait(5 * gate._WATCH_S)
+            self.wfile.write(b"rest")
 
     def do_POST(self):
         self.rfile.read(int(self.headers["Content-Length"]))
@@ -63,6 +80,11 @@ class Browser:
 
     def __init__(self, address):
         self._address, self.cookie = address.rstrip("/"), ""
+
+    @property
+    def place(self):
+        parts = urlsplit(self._address)
+        return parts.hostname, parts.port
 
     def ask(self, path, body=None, **headers):
         cookie = {"Cookie": self.cookie} if self.cookie else {}
@@ -148,6 +170,24 @@ def test_a_server_that_does_not_speak_http_is_told(browser, token_file):
     browser.log_in(token_file.read_text().strip())
     status, text, _ = browser.ask("/strange")
     assert (status, text) == (502, "the viewer does not answer; try again\n")
+
+
+def test_a_link_ends_when_the_browser_goes_though_nothing_is_sent(monkeypatch, browser, token_file):
+    monkeypatch.setattr(gate, "_WATCH_S", 0.02)
+    browser.log_in(token_file.read_text().strip())
+    Server.left.clear()
+    with socket.create_connection(browser.place, timeout=60.0) as link:
+        link.sendall(f"GET /silent HTTP/1.1\r\nHost: x\r\nCookie: {browser.cookie}\r\n\r\n".encode())
+        with link.makefile("rb") as answer:
+            assert next(line for line in answer if line == b"\r\n")
+            assert answer.read(7) == b"4\r\npart"
+    assert Server.left.wait(10.0)
+
+
+def test_a_pause_of_the_data_ends_nothing(monkeypatch, browser, token_file):
+    monkeypatch.setattr(gate, "_WATCH_S", 0.02)
+    browser.log_in(token_file.read_text().strip())
+    assert browser.ask("/pausing")[1] == "partrest"
 
 
 def test_an_error_behind_the_gate_is_not_taken_for_an_address_in_use(monkeypatch, token_file):

@@ -12,6 +12,12 @@ def test_depths_are_millimetres_within_their_span_and_what_is_none_is_farthest()
     assert depth_mm(depth_m, (1.0, 100.0)).max() == 65_000
 
 
+def test_a_negative_depth_is_near_not_far():
+    depth_m = np.array([[-1.0, -0.0, np.nan, 2.0]], np.float32)
+    np.testing.assert_array_equal(depth_mm(depth_m, (-1.0, 2.0)), [[0, 0, 2000, 2000]])
+    assert depth_mm(depth_m, (-3.0, -1.0)).max() == 0
+
+
 def test_the_span_of_depths_holds_them_and_moves_in_steps():
     depth_m = np.linspace(2.1, 4.4, 1000, dtype=np.float32)
     assert depth_span_m(depth_m) == (2.0, 4.5)

@@ -18,8 +18,9 @@ from synthetic_log import (
 from rpod_analysis import open_log
 from rpod_analysis.replay.log_view import Part, show_log
 from rpod_geometry.wireframe import project, visible_pieces
-from rpod_schemas.types import Camera, IntegrityState, Mode
+from rpod_schemas.types import Camera, EstimatorStatus, IntegrityState, Mode
 from rpod_target import load_target
+from rpod_view.summary import summary
 from rpod_view.view import View
 
 CAMERA = Camera(
@@ -58,7 +59,8 @@ def levels(number):
     }
 
 
-def draw(log_path, out, target, **options):
+def draw(log_path, out, target, *, idle_s=(), **options):
+    """Draw a log, then again so long after its end as ``idle_s`` has it, without a message."""
     recording = rr.RecordingStream("rpod")
     recording.save(out)
     options = {"prefix": "estimate", "rate_hz": 10.0} | options
@@ -66,6 +68,8 @@ def draw(log_path, out, target, **options):
     view = View(recording, target=target, prefix="estimate", reject=lambda *told: refused.append(told))
     with open_log(log_path) as log:
         show_log(log, view, **options)
+        for time_s in idle_s:
+            view.draw(log.end_ns * 1e-9 + time_s)
     recording.disconnect()
     assert refused == []
     return read_recording(out)
@@ -234,3 +238,50 @@ def test_without_any_pose_the_scene_is_seen_where_the_points_are(tmp_path, targe
     expected_m = (T_CHASER_SENSOR * approach(0.0)).translation
     assert np.linalg.norm(focus_m - expected_m) < target.radius_m
     assert drawn["summary"].columns["TextDocument:text"][-1][0].startswith("# no estimator")
+
+
+def tables(drawn):
+    return [row[0] for row in drawn["summary"].columns["TextDocument:text"]]
+
+
+def test_a_silent_estimator_is_told_once_a_second_until_it_speaks(tmp_path):
+    run = SyntheticRun(duration_s=5.0, truth_rate_hz=50.0, skipped=lambda number: 10 < number < 45)
+    drawn = draw(run.write(tmp_path / "run.mcap"), tmp_path / "run.rrd", None)
+    told = [table.partition("\n\n")[::2] for table in tables(drawn) if "no status" in table]
+    assert {heading for heading, _ in told} == {"# TRACKING"}
+    assert [text.split("\n")[0] for _, text in told] == [f"**no status for {k} s**" for k in (2, 3)]
+    assert "no status" not in tables(drawn)[-1]
+
+
+def test_without_messages_only_the_silence_is_drawn(tmp_path):
+    log = SyntheticRun(duration_s=0.5, truth_rate_hz=50.0).write(tmp_path / "run.mcap")
+    once = draw(log, tmp_path / "once.rrd", None)
+    idle = draw(log, tmp_path / "idle.rrd", None, idle_s=np.arange(0.0, 4.05, 0.1))
+    more = {path: len(entity.stamps_ns) - len(once[path].stamps_ns) for path, entity in idle.items()}
+    tables_more = more.pop("summary")
+    assert not any(more.values()), more
+    assert tables_more in (2, 3)
+    assert "**no status for 4 s**" in tables(idle)[-1]
+
+
+def test_the_point_of_the_truth_goes_with_the_truth(tmp_path):
+    run = SyntheticRun(duration_s=1.0, truth_rate_hz=50.0, truth_gaps_s=((0.5, 9.0),), frame=estimated)
+    drawn = draw(run.write(tmp_path / "run.mcap"), tmp_path / "run.rrd", None)
+    truth, ellipsoid = drawn["uncertainty/truth"], drawn["uncertainty/ellipsoid"]
+    assert truth.stamps_ns == ellipsoid.stamps_ns
+    points, ellipsoids = truth.columns["Points3D:positions"], ellipsoid.columns["Ellipsoids3D:half_sizes"]
+    assert 1 <= len(points) < len(ellipsoids) - 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "shown"),
+    [
+        ({}, "-"),
+        ({"sensor": "pmd", "accepted": True}, "accepted"),
+        ({"sensor": "pmd"}, "rejected: -"),
+        ({"sensor": "pmd", "reason": "|cost| too high"}, "rejected: /cost/ too high"),
+    ],
+)
+def test_the_table_says_what_became_of_the_measurement(changes, shown):
+    status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.COASTING, **changes)
+    assert f"| measurement | {shown} |\n" in summary(status, None, ())
