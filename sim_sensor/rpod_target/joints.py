@@ -131,7 +131,7 @@ def _least(pieces: Sequence[_Piece]) -> DistanceField:
     around = [_cells(each, field) for each in pieces[1:]]
     first = np.min([np.zeros(3, int), *(least for least, _ in around)], axis=0)
     last = np.max([shape, *(end for _, end in around)], axis=0)
-    values = np.pad(field.values, np.column_stack((-first, last - shape)), mode="edge")
+    values = _extended(field, first, last)
     for each, (least, end) in zip(pieces[1:], around, strict=True):
         block = tuple(map(slice, least - first, end - first))
         axes_m = [field.origin_m[axis] + spacing_m * np.arange(least[axis], end[axis]) for axis in range(3)]
@@ -139,6 +139,16 @@ def _least(pieces: Sequence[_Piece]) -> DistanceField:
         distance_m = each.distance_m(places_m.reshape(-1, 3)).reshape(places_m.shape[:3])
         values[block] = np.minimum(values[block], distance_m)
     return DistanceField(field.origin_m + spacing_m * first, spacing_m, values)
+
+
+def _extended(field: DistanceField, first: NDArray[np.int64], last: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return a field's values from a first node to before a last one; beyond its grid as in ``sampled``."""
+    shape = np.array(field.values.shape)
+    values = np.pad(field.values, np.column_stack((-first, last - shape)), mode="edge")
+    nodes = np.ogrid[*map(slice, first, last)]
+    way = [node - node.clip(0, size - 1) for node, size in zip(nodes, shape, strict=True)]
+    values += field.spacing_m * np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+    return values
 
 
 def _cells(each: _Piece, field: DistanceField) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -255,6 +255,7 @@ def _digest(parameters: TargetParameters, meshes: Mapping[str, bytes], variation
     content: dict[str, Any] = {
         "builder": _MESH_BUILDER_VERSION if meshes else _BUILDER_VERSION,
         "parameters": parameters.model_dump(mode="json"),
+        "materials": list(parameters.materials),  # their order numbers the triangles' materials
         "meshes": {name: hashlib.sha256(mesh).hexdigest() for name, mesh in meshes.items()},
     }
     if variation is not None:

@@ -69,7 +69,7 @@ class CampaignFolder:
         if not file.exists():
             if any(folder.path.iterdir()):
                 raise ForeignFolderError(folder.path, "has no manifest.json, but is not empty")
-            with whole_file(file) as stream:
+            with whole_file(file, durable=True) as stream:
                 stream.write(text.encode())
         elif file.read_text("utf-8") != text:
             raise ForeignFolderError(folder.path, "its manifest.json is of another campaign")
@@ -135,11 +135,16 @@ class CampaignFolder:
         return rows
 
     def most_alike(self) -> tuple[Path, tuple[str, ...]] | None:
-        """Return the same campaign's folder beside this one with the fewest differences, and their names."""
+        """Return the same campaign's folder beside this one with the fewest differences, and their names.
+
+        A folder whose manifest cannot be read is left out.
+        """
         mine = json.loads((self.path / MANIFEST).read_text("utf-8"))
         others = []
         for file in self.path.parent.glob(f"{mine['campaign']}-*/{MANIFEST}"):
-            theirs = json.loads(file.read_text("utf-8"))
+            theirs = _read_manifest(file)
+            if theirs is None:
+                continue
             differs = tuple(key for key in mine if mine[key] != theirs.get(key))
             if differs:
                 others.append((file.parent, differs))
@@ -156,6 +161,15 @@ class CampaignFolder:
                 if file.stat().st_mtime < before_s:
                     found.append(file)
         return found
+
+
+def _read_manifest(file: Path) -> dict[str, Any] | None:
+    """Return a manifest; None if it cannot be read."""
+    try:
+        manifest = json.loads(file.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return manifest if isinstance(manifest, dict) else None
 
 
 def cell_parameters(cell: Any) -> dict[str, Any]:

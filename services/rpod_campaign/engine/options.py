@@ -14,8 +14,8 @@ from rpod_schemas.config.emulator import WorldName
 
 Trials = Annotated[int, Field(gt=0, description="Number of trials of each cell.")]
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
-Sizes = Annotated[str, Field(pattern=r"^[0-9]*\.?[0-9]+x$")]
-"""A length in longest sides of the target, such as 5x."""
+Sizes = Annotated[str, Field(pattern=r"^([0-9]*[1-9][0-9]*(\.[0-9]+)?|[0-9]*\.[0-9]*[1-9][0-9]*)x$")]
+"""A length in longest sides of the target, such as 5x; not 0."""
 Ranges = Annotated[
     tuple[Positive | Sizes, ...],
     Field(

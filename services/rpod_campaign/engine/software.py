@@ -27,7 +27,7 @@ _DECISIVE = (
 )
 _OURS = "rpod_campaign"
 _REPORTS = ("report", "options.py")
-"""Folders and files that do not affect a row."""
+"""Folders and files of this package that do not affect a row."""
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
 """Packages whose version may change the last bit of a row."""
 
@@ -93,11 +93,15 @@ def _trials(trial_module: str) -> tuple[list[str], set[str]]:
         module = left.pop()
         found.add(module)
         made_in = {str(getattr(value, "__module__", "")) for value in vars(import_module(module)).values()}
-        others = {name for name in made_in if name.startswith("rpod_") and not name.startswith(_DECISIVE)}
+        others = {name for name in made_in if name.startswith("rpod_") and not _is_decisive(name)}
         mine = {name for name in others if name.startswith(f"{_OURS}.")}
         services |= {name.partition(".")[0] for name in others - mine} - {_OURS}
         left |= {name for name in mine if name.rpartition(".")[2] not in ("report", "options")} - found
     return sorted(found), services
+
+
+def _is_decisive(module: str) -> bool:
+    return any(module == package or module.startswith(f"{package}.") for package in _DECISIVE)
 
 
 def _sources_of(top: str) -> list[tuple[str, Traversable]]:
@@ -109,10 +113,10 @@ def _sources_of(top: str) -> list[tuple[str, Traversable]]:
 
 
 def _sources(folder: Traversable, name: str) -> list[tuple[str, Traversable]]:
-    found = []
+    left_out, found = _REPORTS if name.startswith(f"{_OURS}.") else (), []
     for child in sorted(folder.iterdir(), key=lambda child: child.name):
         path = f"{name}/{child.name}"
-        if child.name in _REPORTS:
+        if child.name in left_out:
             continue
         if child.is_dir():
             found += _sources(child, path)

@@ -9,7 +9,7 @@ import polars as pl
 from scipy.stats import beta, chi2
 
 from rpod_campaign.engine.campaign import TRIAL, CellResult
-from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
 from rpod_campaign.engine.report.statistics import consistency, quantile
@@ -193,7 +193,7 @@ def _replays(results: Results) -> Table:
     rows = [
         (
             f"{result.cell.fault} {result.cell.size:g}",
-            result.cell.target,
+            in_world(result.cell.target, result.cell.world),
             result.cell.sensor,
             *(str(row[name]) for name in ("seed", TRIAL, FRAME, "state")),
             f"{row['attitude_error_deg']:.2f} of {row['attitude_level_deg']:.2f}",
@@ -211,16 +211,16 @@ def _replays(results: Results) -> Table:
 
 def _stanford(results: Results) -> tuple[Any, ...]:
     """Return Stanford diagrams of attitude and position: error against level, over the alert limit both."""
-    figures = []
+    figures, lines = [], [_line(result.cell) for result in results]
     for name, unit in (("attitude", "deg"), ("position", "m")):
         limit, error, level = f"{name}_limit_{unit}", f"{name}_error_{unit}", f"{name}_level_{unit}"
         clouds = {}
-        for result in results:
+        for result, line in zip(results, lines, strict=True):
             told = result.rows.filter(pl.col("usable") | (pl.col("state") == "unavailable"))
             known = told.filter(pl.col(error).is_not_null() & pl.col(level).is_finite())
             if known.height:
                 shown = known.gather_every(max(1, known.height // _POINTS))
-                clouds[f"{result.cell.sensor}, {result.cell.fault} {result.cell.size:g}"] = (
+                clouds[distinct(line, lines) or line[-1]] = (
                     (shown[error] / shown[limit]).to_list(),
                     (shown[level] / shown[limit]).to_list(),
                 )
@@ -237,6 +237,10 @@ def _stanford(results: Results) -> tuple[Any, ...]:
                 )
             )
     return tuple(figures)
+
+
+def _line(cell: IntegrityCell) -> tuple[str, ...]:
+    return in_world(cell.target, cell.world), cell.sensor, f"{cell.fault} {cell.size:g}"
 
 
 def _sequences(rows: pl.DataFrame) -> list[pl.DataFrame]:

@@ -7,9 +7,9 @@ from typing import Any
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.charts import distinct, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
+from rpod_campaign.engine.report.numbers import NONE, in_world, milliseconds, number, printed, word
 from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.scores import ambiguous, wrong
@@ -65,11 +65,11 @@ def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
 def sections(results: Results) -> list[Section]:
     """Return the sections of the report."""
     lines: dict[str, dict[float, Rate]] = {}
-    for result in results:
+    names = [_line(result.cell) for result in results]
+    for result, line in zip(results, names, strict=True):
         cell = result.cell
-        name = f"{in_world(cell.target, cell.world)}, {cell.method}, {cell.scan_step_deg:g} deg"
-        name += f", detection {cell.detection}"
-        lines.setdefault(name, {})[cell.range_m] = close(result.rows, cached_target(result.cell.target))
+        points = lines.setdefault(distinct(line, names) or cell.method, {})
+        points[cell.range_m] = close(result.rows, cached_target(cell.target))
     note = (
         f"Success: within {CRITERION_DEG:g} deg and {CRITERION_M:g} m, OBB-TM's criterion, with 95 % Wilson "
         "intervals. Detection off: every ray that meets the target returns, as for OBB-TM. The window has "
@@ -77,6 +77,16 @@ def sections(results: Results) -> list[Section]:
     )
     figure = rate_figure(lines, x_title="range [m]", y_title="success rate")
     return [Section("Range and scan step", note, (_table(results),), (figure,))]
+
+
+def _line(cell: RangeCell) -> tuple[str, ...]:
+    return (
+        in_world(cell.target, cell.world),
+        cell.method,
+        NONE if cell.step_deg is None else f"templates {cell.step_deg:g} deg",
+        f"scan {cell.scan_step_deg:g} deg",
+        f"detection {cell.detection}",
+    )
 
 
 def _table(results: Results) -> Table:

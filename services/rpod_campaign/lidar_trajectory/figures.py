@@ -6,7 +6,7 @@ import plotly.graph_objects as go
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import curve_figure, rate_figure
+from rpod_campaign.engine.report.charts import curve_figure, distinct, rate_figure
 from rpod_campaign.engine.report.numbers import in_world
 from rpod_campaign.engine.report.statistics import Rate
 from rpod_campaign.lidar_trajectory.tables import success
@@ -44,13 +44,22 @@ def figures_over_time(results: Results) -> tuple[go.Figure, ...]:
 def figures_over_steps(results: Results) -> tuple[go.Figure, ...]:
     """Return success over the step with both ICPs (Figs. 6 and 7)."""
     lines: dict[str, dict[float, Rate]] = {}
-    for result in results:
-        cell = result.cell
-        about = f"{in_world(cell.target, cell.world)}, Eq. 4 {cell.eq4}, {cell.method}"
+    names = [_line(result.cell) for result in results]
+    for result, line in zip(results, names, strict=True):
+        cell, about = result.cell, distinct(line, names) or result.cell.method
         for icp in ("nn", "ns") if cell.method == paper.TM else ("nn",):
             name = f"{about}, {icp.upper()}"
             lines.setdefault(name, {})[cell.step_deg] = success(result, icp)
     return (rate_figure(lines, x_title="template step [deg]", y_title="success rate"),)
+
+
+def _line(cell: TrajectoryCell) -> tuple[str, ...]:
+    return (
+        in_world(cell.target, cell.world),
+        f"Eq. 4 {cell.eq4}",
+        f"centroid {cell.centroid}",
+        cell.method,
+    )
 
 
 def _of_figure_9(cell: TrajectoryCell) -> bool:

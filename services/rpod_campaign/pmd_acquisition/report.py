@@ -7,11 +7,12 @@ from typing import Any
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, millimetres, milliseconds, number
+from rpod_campaign.engine.report.numbers import NONE, in_world, millimetres, milliseconds, number
 from rpod_campaign.engine.report.statistics import quantile, rate
 from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
+from rpod_campaign.pmd.scene import scenario_of
 from rpod_campaign.pmd_acquisition.trial import WIDE_DEG, WIDE_M, AcquisitionCell
 
 Results = Sequence[CellResult[AcquisitionCell]]
@@ -94,11 +95,14 @@ def _refusals(results: Results) -> tuple[Table, ...]:
     return (Table("Why refused", (*_NAMES, "trials", "reason"), tuple(rows)).condensed(len(_NAMES)),)
 
 
-_NAMES = ("view", "start", "method", "range, m")
+_NAMES = ("scenario", "target", "model", "view", "start", "method", "range, m")
 
 
 def _name(cell: AcquisitionCell) -> tuple[str, ...]:
     return (
+        scenario_of(cell.document).name,
+        cell.target,
+        cell.model or NONE,
         in_world(cell.view, cell.world, cell.surroundings),
         cell.start,
         cell.method,
@@ -108,9 +112,14 @@ def _name(cell: AcquisitionCell) -> tuple[str, ...]:
 
 def _figures(results: Results) -> tuple[Any, ...]:
     """Return the distribution of the attitude error in each cell."""
-    curves = {}
-    for result in results:
+    curves, lines = {}, [_line(result.cell) for result in results]
+    for result, line in zip(results, lines, strict=True):
         errors_deg = result.rows["attitude_deg"].drop_nulls().sort().to_list()
         shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
-        curves[", ".join(_name(result.cell)[:3])] = (errors_deg, shares)
+        curves[distinct(line, lines) or result.cell.method] = (errors_deg, shares)
     return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)
+
+
+def _line(cell: AcquisitionCell) -> tuple[str, ...]:
+    *names, range_m = _name(cell)
+    return (*names, f"{range_m} m")

@@ -8,7 +8,7 @@ from rpod_campaign.engine.report.numbers import millimetres, number
 from rpod_campaign.engine.report.statistics import quantile
 from rpod_campaign.pmd.cells import CALIBRATED_WIGGLING
 from rpod_campaign.pmd.report.summary import AXES, Results
-from rpod_campaign.pmd.report.tables import LOST, by_range, errors_over_range, first, overview
+from rpod_campaign.pmd.report.tables import LOST, NAMES, by_range, errors_over_range, first, name_of, overview
 from rpod_campaign.pmd.sequence import SequenceCell
 from rpod_campaign.pmd_robustness.trial import CASES, END_M, LEAVES_M, START_M
 
@@ -37,13 +37,14 @@ def _paired_sections(results: Results) -> list[Section]:
         pair = first(
             results, case=CASES[result.cell.case].pair, method=result.cell.method,
             frames=result.cell.frames, through=result.cell.through, scenario=result.cell.scenario,
+            radius_px=result.cell.radius_px,
         )  # fmt: skip
         if pair is not None:
-            rows.append((result.cell.case, pair.cell.case, result.cell.method, *_rises(result, pair)))
+            rows.append((*name_of(result.cell), pair.cell.case, *_rises(result, pair)))
     if not rows:
         return []
-    columns = ("case", "against", "method", *(axis.split("_")[0] for axis in AXES), "attitude", "position")
-    table = Table("Rise of the RMS error, %", columns, tuple(rows))
+    columns = (*NAMES, "against", *(axis.split("_")[0] for axis in AXES), "attitude", "position")
+    table = Table("Rise of the RMS error, %", columns, tuple(rows)).condensed(len(NAMES))
     return [Section("Paired", "The same frames with and without the disturbance.", (table,))]
 
 
@@ -62,7 +63,7 @@ def _close_section(results: Results) -> Section:
         parts = result.rows.with_columns(decimetre.alias("bin")).partition_by("bin")
         rows += [
             (
-                result.cell.method,
+                *name_of(result.cell),
                 f"{part['bin'][0] / 10.0:.1f}",
                 *(number(quantile(part["attitude_deg"], share), ".2f") for share in (0.5, 1.0)),
                 number(quantile(part["sigma_deg"], 0.5), ".2f"),
@@ -72,8 +73,9 @@ def _close_section(results: Results) -> Section:
             for part in parts
         ]
     columns = (
-        *("method", "from, m", "median, deg", "greatest, deg", "median sigma, deg"),
+        *(*NAMES, "from, m", "median, deg", "greatest, deg", "median sigma, deg"),
         *("median, mm", "greatest, mm", "median sigma, mm"),
     )
+    table = Table("By decimetre", columns, tuple(rows)).condensed(len(NAMES))
     note = "Sigma is that of the covariance in its worst direction; it must grow if the view is ambiguous."
-    return Section("The last metre", note, (Table("By decimetre", columns, tuple(rows)),))
+    return Section("The last metre", note, (table,))

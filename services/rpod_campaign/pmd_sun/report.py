@@ -10,10 +10,12 @@ from rpod_campaign.engine.report.charts import curve_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import milliseconds, number, percent, word
 from rpod_campaign.pmd.report.summary import summarise as summarise_sequence
-from rpod_campaign.pmd.report.tables import LOST
+from rpod_campaign.pmd.report.tables import LOST, label, name_of
 from rpod_campaign.pmd_sun.trial import SunCell
 
 Results = Sequence[CellResult[SunCell]]
+_NAMES = ("scenario", "material", "frames", "through", "method", "radius, px")
+"""Columns of ``name_of``."""
 
 
 def summarise(cell: SunCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -40,7 +42,7 @@ def sections(results: Results) -> list[Section]:
 def _every_sun(results: Results) -> Table:
     rows = [
         (
-            *(r.cell.scenario, r.cell.frames, r.cell.method, r.cell.case),
+            *name_of(r.cell),
             *(word(r.cell.angle_deg), word(r.cell.azimuth_deg)),
             number(r.summary["norms"]["attitude_deg"], ".2f"),
             number(1e3 * r.summary["norms"]["position_m"], ".1f"),
@@ -52,21 +54,21 @@ def _every_sun(results: Results) -> Table:
         )
         for r in results
     ]
-    names = ("scenario", "frames", "method", "material", "angle, deg", "azimuth, deg")
-    columns = ("RMS, deg", "RMS, mm", "greatest, deg", "greatest, mm", "lost", "depth lost", "median, ms")
-    return Table("RMS by sun", (*names, *columns), tuple(rows)).condensed(4)
-
-
-_GROUP = ("method", "case")
+    columns = (
+        *("angle, deg", "azimuth, deg", "RMS, deg", "RMS, mm", "greatest, deg", "greatest, mm"),
+        *("lost", "depth lost", "median, ms"),
+    )
+    return Table("RMS by sun", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
 
 
 def _grouped(results: Results) -> pl.DataFrame:
-    """Return means over azimuths, a row for each method, material and angle."""
+    """Return means over azimuths, a row for each angle of each sequence."""
+    cells = [result.cell for result in results]
     rows = pl.DataFrame(
         [
             {
-                "method": r.cell.method,
-                "case": r.cell.case,
+                **dict(zip(_NAMES, name_of(r.cell), strict=True)),
+                "line": label(r.cell, cells),
                 "angle": r.cell.angle_deg,
                 "attitude": r.summary["norms"]["attitude_deg"],
                 "position": r.summary["norms"]["position_m"],
@@ -76,13 +78,14 @@ def _grouped(results: Results) -> pl.DataFrame:
             for r in results
         ]
     )
-    return rows.group_by(*_GROUP, "angle", maintain_order=True).mean()
+    return rows.group_by(*_NAMES, "line", "angle", maintain_order=True).mean()
 
 
 def _by_angle(results: Results) -> Table:
     rows = [
         (
-            *(row["method"], row["case"], word(row["angle"])),
+            *(row[name] for name in _NAMES),
+            word(row["angle"]),
             number(row["attitude"], ".2f"),
             number(1e3 * row["position"], ".1f"),
             percent(row["lost"]),
@@ -90,15 +93,12 @@ def _by_angle(results: Results) -> Table:
         )
         for row in _grouped(results).iter_rows(named=True)
     ]
-    columns = ("method", "material", "angle, deg", "RMS, deg", "RMS, mm", "lost", "depth lost")
-    return Table("Means over the azimuths", columns, tuple(rows)).condensed(2)
+    columns = ("angle, deg", "RMS, deg", "RMS, mm", "lost", "depth lost")
+    return Table("Means over the azimuths", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
 
 
 def _figures(results: Results) -> tuple[Any, ...]:
-    groups = {
-        ", ".join(map(str, key)): part
-        for key, part in _grouped(results).group_by(*_GROUP, maintain_order=True)
-    }
+    groups = {str(name): part for (name,), part in _grouped(results).group_by("line", maintain_order=True)}
     return tuple(
         curve_figure(
             {name: (part["angle"].to_list(), part[column].to_list()) for name, part in groups.items()},

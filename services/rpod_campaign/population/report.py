@@ -6,7 +6,7 @@ from typing import Any
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import rate_figure
+from rpod_campaign.engine.report.charts import distinct, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
 from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate, root_mean_square
@@ -200,9 +200,15 @@ def _bodies_table(results: Results) -> Table:
 
 
 def _figure(results: Results) -> Any:
-    """Return success over size."""
-    kinds: dict[str, dict[float, Rate]] = {}
-    for result in results:
-        size_m, kind = result.summary["size_m"] or 0.0, result.summary["kind"] or "file"
-        kinds.setdefault(kind, {})[size_m] = _count(result.rows.filter("seen"), _SUCCESS)
-    return rate_figure(kinds, x_title="longest side [m]", y_title="success rate")
+    """Return success over size: a line for each kind of body, and for each target without a kind."""
+    lines: dict[str, dict[float, Rate]] = {}
+    names = [_line(result) for result in results]
+    for result, name in zip(results, names, strict=True):
+        points = lines.setdefault(distinct(name, names) or name[0], {})
+        points[result.summary["size_m"] or 0.0] = _count(result.rows.filter("seen"), _SUCCESS)
+    return rate_figure(lines, x_title="longest side [m]", y_title="success rate")
+
+
+def _line(result: CellResult[PopulationCell]) -> tuple[str, ...]:
+    cell = result.cell
+    return result.summary["kind"] or cell.target, cell.world, cell.surroundings

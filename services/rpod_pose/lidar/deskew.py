@@ -14,6 +14,7 @@ margin of a self-check must cover that.
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_geometry.rays import NEAREST_M
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LidarScan
 
@@ -34,7 +35,7 @@ def deskewed(
     """
     if scan.time_s is None or not scan.time_s.any():
         return scan
-    returned = np.isfinite(scan.points_m).all(axis=-1)
+    returned = np.isfinite(scan.points_m).all(axis=-1) & (np.linalg.norm(scan.points_m, axis=-1) > NEAREST_M)
     since_s = scan.time_s[returned].astype(np.float64)[:, None]
     origin_m = T_sensor_target.translation
     arm_m = scan.points_m[returned] - origin_m - velocity_m_s * since_s

@@ -67,7 +67,7 @@ class GlobalSearch:
             truncation_m=self._truncation_m,
         )
         self._model = Model(views, surface, Turns.of(target))
-        self._scanners: dict[int, Scanner] = {}
+        self._scanners: dict[tuple[int, tuple[int, int]], Scanner] = {}
 
     def acquire(self, measurement: LidarScan) -> Acquisition:
         """Return the likeliest pose with its belief, and the other poses that explain the scan."""
@@ -134,17 +134,18 @@ class GlobalSearch:
     def _search_in(self, whole: SeenScan) -> ScanSearch:
         """Return the search in a scan; a dense scan is reduced to every few rows and columns."""
         stride = max(1, round(sqrt(whole.returns / self._tuning.most_returns)))
-        seen = whole.every(stride) if stride > 1 else whole
-        if stride not in self._scanners:
-            view = self._tracker.view if stride == 1 else self._tracker.view.every(stride)
-            self._scanners[stride] = Scanner.of(
+        first = whole.first(stride)
+        seen = whole.every(stride, first) if stride > 1 else whole
+        if (stride, first) not in self._scanners:
+            view = self._tracker.view if stride == 1 else self._tracker.view.every(stride, first)
+            self._scanners[stride, first] = Scanner.of(
                 view,
                 self._config,
                 self._model.surface,
                 sigma_range_m=self._sigma_range_m,
                 radius_m=self._radius_m,
             )
-        return ScanSearch(self._config, self._model, self._scanners[stride], seen, self._truncation_m)
+        return ScanSearch(self._config, self._model, self._scanners[stride, first], seen, self._truncation_m)
 
     def _too_few(self, seen: SeenScan) -> Acquisition:
         reason = f"{seen.returns} returns, {self._tuning.min_points} needed"

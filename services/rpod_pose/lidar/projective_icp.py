@@ -153,7 +153,7 @@ class ProjectiveIcp:
         start = PoseArrays.of(T_sensor_target)
         problem = self._problem(seen)
         found = tracked(far, problem, start, seen.range_m, self.model.assumed, self._reach)
-        if not (seen.range_m.any() and np.isfinite(found.information).all()):
+        if not ((seen.range_m > 0.0).any() and np.isfinite(found.information).all()):
             return self._registration(seen, found)
         sure = self._is_sure(seen, found)
         if sure:

@@ -354,7 +354,7 @@ class ScanSearch:
 
     def _outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
-        if not self.seen.range_m.any():  # all returns lie beside the pattern
+        if not (self.seen.range_m > 0.0).any():  # all returns lie beside the pattern
             return pose
         scanner = self._scanner
         problem, start = self._problem(self._fine_m), PoseArrays(pose.R, pose.t)
@@ -369,7 +369,7 @@ class ScanSearch:
 
         While a sample is likelier, the pose is refined from there, and its surroundings are sampled anew.
         """
-        if not self.seen.range_m.any():
+        if not (self.seen.range_m > 0.0).any():
             return pose
         start, found = self._posterior(pose)
         for _ in range(RESUMED - 1):

@@ -26,6 +26,10 @@ BESIDE = 0.1
 """Distance, in steps, from which on the rays of an unorganised scan are not the pattern's. Numerics: of
 returns at random 4 % are nearer."""
 
+_FEW = 0.5
+"""Share of the returns that rows and columns would have on average, below which others are taken. Numerics:
+neighbouring rows of a pattern differ by less."""
+
 HIDDEN_M = np.inf
 """Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""
 
@@ -68,13 +72,24 @@ class SeenScan:
         image.flat[self.rays[~near & (self.rays >= 0)]] = 0.0
         return SeenScan(self.points_m[near], self.rays[near], image, self.grid)
 
-    def every(self, stride: int) -> "SeenScan":
-        """Return the returns in every ``stride``-th row and column of the pattern."""
+    def first(self, stride: int) -> tuple[int, int]:
+        """Return the row and the column with which ``every`` begins: others where these have few returns.
+
+        Rows that the sensor does not have may be every second one.
+        """
+        row, column = np.divmod(self.rays[self.rays >= 0], self.range_m.shape[1])
+        counts = np.bincount(row % stride * stride + column % stride, minlength=stride * stride)
+        best = 0 if counts[0] >= _FEW * counts.mean() else int(counts.argmax())
+        return best // stride, best % stride
+
+    def every(self, stride: int, first: tuple[int, int] = (0, 0)) -> "SeenScan":
+        """Return the returns in every ``stride``-th row and column of the pattern, from the first ones on."""
         row, column = np.divmod(self.rays, self.range_m.shape[1])
+        row, column = row - first[0], column - first[1]
         kept = (self.rays >= 0) & (row % stride == 0) & (column % stride == 0)
-        image = np.ascontiguousarray(self.range_m[::stride, ::stride])
+        image = np.ascontiguousarray(self.range_m[first[0] :: stride, first[1] :: stride])
         rays = row[kept] // stride * image.shape[1] + column[kept] // stride
-        grid = RayGrid(np.ascontiguousarray(self.grid.components[:, ::stride, ::stride]))
+        grid = RayGrid(np.ascontiguousarray(self.grid.components[:, first[0] :: stride, first[1] :: stride]))
         return SeenScan(self.points_m[kept], rays, image, grid)
 
 
@@ -102,10 +117,11 @@ class ScanView:
         """Rows and columns."""
         return self.elevation_rad.size, self.azimuth_rad.size
 
-    def every(self, stride: int) -> "ScanView":
-        """Return the view of every ``stride``-th row and column."""
-        aside_rad = None if self.row_azimuth_rad is None else self.row_azimuth_rad[::stride].copy()
-        return ScanView.of(self.azimuth_rad[::stride].copy(), self.elevation_rad[::stride].copy(), aside_rad)
+    def every(self, stride: int, first: tuple[int, int] = (0, 0)) -> "ScanView":
+        """Return the view of every ``stride``-th row and column, from the first ones on."""
+        rows, columns = slice(first[0], None, stride), slice(first[1], None, stride)
+        aside_rad = None if self.row_azimuth_rad is None else self.row_azimuth_rad[rows].copy()
+        return ScanView.of(self.azimuth_rad[columns].copy(), self.elevation_rad[rows].copy(), aside_rad)
 
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays.
@@ -138,6 +154,8 @@ class ScanView:
         azimuth_rad = np.arctan2(points_m[:, 0], points_m[:, 2])
         if self.row_azimuth_rad is not None:
             azimuth_rad -= self.row_azimuth_rad[row]
+        middle_rad = 0.5 * (self.azimuth_rad.min() + self.azimuth_rad.max())
+        azimuth_rad += 2.0 * np.pi * np.round((middle_rad - azimuth_rad) / (2.0 * np.pi))
         column, beside = _nearest(self.azimuth_rad, azimuth_rad)
         return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
 

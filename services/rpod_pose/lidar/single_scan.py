@@ -21,7 +21,7 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
     Args:
         scan: the scan, organised in the sensor's rows and columns or not.
         target: target with a distance field.
-        sensor: info of the LIDAR: scan pattern and sigma of a range.
+        sensor: info of the LIDAR: scan pattern, within 90 deg of the boresight, and sigma of a range.
 
     Returns:
         T_sensor_target as ``pose``, its ``covariance`` of (dp, dtheta) in the sensor's fixed axes, shape

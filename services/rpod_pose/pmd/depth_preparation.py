@@ -164,6 +164,13 @@ class DepthPreparation:
         spread = np.hypot(np.std(column[near]) / frame.camera.fx, np.std(row[near]) / frame.camera.fy)
         return float(np.angle(mean) % (2.0 * np.pi) / (2.0 * np.pi) * interval_m), float(spread)
 
+    def observed(self, found: Registration) -> FloatArray:
+        """Return a registration's covariance without the angle about a free axis, which no frame tells."""
+        if found.T_sensor_target is None:
+            return found.covariance
+        R = rotation_matrix(found.T_sensor_target)
+        return self.target.equivalence.with_free_variance(found.covariance, R, 0.0)
+
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
         cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
@@ -186,7 +193,8 @@ class PreparedTracker:
         prepared = self._preparation.predicted(measurement, T_sensor_target)
         most_m = _MOST_SIGMA * self._preparation.target.radius_m
         found = self._tracker.track(prepared, T_sensor_target)
-        return _determined(found, found.covariance, max_sigma_m=most_m, max_sigma_deg=_MOST_SIGMA_DEG)
+        observed = self._preparation.observed(found)
+        return _determined(found, observed, max_sigma_m=most_m, max_sigma_deg=_MOST_SIGMA_DEG)
 
 
 class PreparedAcquirer:
@@ -220,17 +228,14 @@ class PreparedAcquirer:
 
         A long cylinder both of whose ends are outside the image fits at any place along its axis: such a pose
         must not begin a track. Errors that a camera's frames share do not prevent a track, since the next
-        frame is no better; the covariance contains them. The angle about a free axis does not count.
+        frame is no better; the covariance contains them.
         """
-        pose, target = found.pose, self._preparation.target
-        if pose is None:
+        target = self._preparation.target
+        if found.pose is None:
             return found
-        observed = target.equivalence.with_free_variance(
-            found.registration.covariance, rotation_matrix(pose), 0.0
-        )
         registration = _determined(
             found.registration,
-            observed,
+            self._preparation.observed(found.registration),
             max_sigma_m=_LEAST_TOLD * target.radius_m,
             max_sigma_deg=_LEAST_TOLD * _UNKNOWN_DEG,
         )

@@ -204,7 +204,12 @@ class ViewSearch:
             gains = logs[near] - logs[near][0]
             best = same[int(gains.argmax()) if gains.max() > CLEAR_LOG else 0]
             spread = self._spread(best, same, softmax(gains))
-            registration = replace(best.registration, covariance=best.registration.covariance + spread)
+            registration, parts = best.registration, best.registration.parts
+            registration = replace(
+                registration,
+                covariance=registration.covariance + spread,
+                parts=None if parts is None else replace(parts, of_image=parts.of_image + spread),
+            )
             losses = np.min([pose.losses for pose in same], axis=0)
             merged.append(replace(best, registration=registration, losses=losses))
             most.append(logs[near].max())

@@ -3,7 +3,7 @@
 import os
 import re
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -224,7 +224,8 @@ class _Sections:
         self._cad, self._mesh, self._options, self._scale = cad, mesh, options, scale
         self.file = os.path.relpath(cad.resolve(), out.parent.resolve())
         self.told: list[str] = []
-        self._labels = _labels([material.name for material in mesh.materials])
+        bare = frozenset({_PLAIN} if (mesh.triangle_material < 0).any() else ())
+        self._labels = _labels([material.name for material in mesh.materials], taken=bare)
         self._translation_m = self._origin()
         self._mass_line = self._mass()
 
@@ -361,13 +362,13 @@ def _note(one: "FoundSymmetry") -> str:
     return ("any turn: " if one.continuous else "") + "; ".join(parts)
 
 
-def _labels(names: Sequence[str]) -> dict[str, str]:
-    """Return names that a target file allows, each different, by the names of the mesh file."""
+def _labels(names: Sequence[str], *, taken: Set[str] = frozenset()) -> dict[str, str]:
+    """Return names that a target file allows, each different and not taken, by those of the mesh file."""
     labels: dict[str, str] = {}
     for name in names:
         label = base = _label(name)
         number = 2
-        while label in labels.values():
+        while label in taken or label in labels.values():
             label, number = f"{base}-{number}", number + 1
         labels[name] = label
     return labels

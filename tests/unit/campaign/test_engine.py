@@ -8,6 +8,7 @@ from counting_campaign import CAMPAIGN, CountingOptions
 from rpod_campaign.engine import Options
 from rpod_campaign.engine.errors import ForeignFolderError, TrialFailedError, WorkerDiedError
 from rpod_campaign.engine.executor.pool import ProcessPool
+from rpod_campaign.engine.report.charts import distinct
 from rpod_campaign.engine.report.content import Table
 from rpod_campaign.engine.report.numbers import NONE
 from rpod_campaign.engine.report.page import write_page
@@ -128,6 +129,22 @@ def test_a_changed_parameter_is_another_folder(tmp_path):
     assert newer.most_alike() == (prepared(tmp_path).folder.path, ("version",))
 
 
+@pytest.mark.parametrize("damaged", [b"", b'{"campaign": "coun', b"\xff\xfe", b"[]"])
+def test_a_damaged_manifest_of_another_folder_is_passed_over(tmp_path, damaged):
+    (prepared(tmp_path, seed=2).folder.path / "manifest.json").write_bytes(damaged)
+    mine = prepared(tmp_path).folder
+    assert mine.most_alike() is None
+    other = prepared(tmp_path, seed=3).folder
+    assert mine.most_alike() == (other.path, ("seed",))
+
+
+def test_a_manifest_outlives_a_loss_of_power(tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr(os, "fsync", kept.append)
+    prepared(tmp_path)
+    assert len(kept) == 1
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path):
     manifest = prepared(tmp_path).folder.path / "manifest.json"
     manifest.write_text("{}")
@@ -191,6 +208,12 @@ def test_names_that_all_rows_share_go_into_the_title_of_a_table():
     assert condensed == Table(
         "Success (target a, step 30 deg)", ("range, m", "rate"), (("20", "1"), ("50", "1"))
     )
+
+
+def test_a_line_of_a_figure_is_named_by_what_differs():
+    names = [("a", "30 deg", NONE), ("a", "10 deg", "25 px")]
+    assert [distinct(name, names) for name in names] == ["30 deg", "10 deg, 25 px"]
+    assert not distinct(names[0], names[:1])
 
 
 def test_a_column_without_any_value_is_left_out_of_a_table():

@@ -5,11 +5,12 @@ import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.integrity.campaign import sizes_of
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import BY_NAME, Injector, TurnedTracker
-from rpod_campaign.integrity.report import poisson_interval, share_bound, summarise
+from rpod_campaign.integrity.report import poisson_interval, sections, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration
@@ -130,6 +131,20 @@ def test_frames_without_a_track_are_not_available():
         [*lost, *rows(["nominal"] * 4, error_deg=[0.1] * 4, trial=1)], schema=SCHEMA | {"trial": pl.Int64}
     )
     assert summarise(IntegrityCell("none", 0.0, "mockup", "lidar"), table)["availability"] == 0.5
+
+
+def test_a_stanford_diagram_has_a_cloud_for_each_target_and_world():
+    table = pl.DataFrame(
+        rows(["nominal"] * 4, error_deg=[0.1, 0.1, 1.5, 0.1]), schema=SCHEMA | {"trial": pl.Int64}
+    )
+    results = []
+    for target, world in (("mockup", "documented"), ("mockup", "noisy"), ("brick", "documented")):
+        cell = IntegrityCell("half_turn", 10.0, target, "lidar", world)
+        results.append(CellResult(cell, table, summarise(cell, table)))
+    first, *_, frames = sections(results)
+    names = ["mockup", "mockup, noisy", "brick"]
+    assert [trace.name for trace in first.figures[0].data] == [*names, "level = error"]
+    assert [row[1] for row in frames.tables[0].rows] == names
 
 
 def test_bounds_of_no_events_are_those_of_the_rule_of_three():

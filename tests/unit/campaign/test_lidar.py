@@ -20,6 +20,7 @@ from rpod_campaign.lidar_acquisition import trial as acquisition
 from rpod_campaign.lidar_range.trial import window_deg
 from rpod_campaign.lidar_tracking import trial as tracking
 from rpod_campaign.lidar_trajectory import trial as trajectory
+from rpod_campaign.lidar_trajectory.figures import figures_over_steps
 from rpod_campaign.papers import paper_2015 as paper
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
@@ -191,6 +192,31 @@ def test_a_row_of_every_campaign_has_the_columns_of_its_schema_and_a_place_in_it
         results.append(CellResult(cell, frame, campaign.summarise(cell, frame)))
     json.dumps([result.summary for result in results])
     _check_sections(campaign.sections(results))
+
+
+def test_success_over_the_step_has_a_line_for_each_position():
+    frame = pl.DataFrame([{"nn_success": True, "ns_success": False}])
+    options = lidar_trajectory.options(
+        centroid="both", eq4="usual", method=(paper.TM,), steps=(60.0, 30.0), target=(TARGET,)
+    )
+    (figure,) = figures_over_steps([CellResult(c, frame, {}) for c in lidar_trajectory.cells(options)])
+    assert {trace.name: len(trace.x) for trace in figure.data} == {
+        f"centroid {position}, {icp}": 2 for position in ("plain", "offset") for icp in ("NN", "NS")
+    }
+
+
+def test_success_over_the_range_has_a_line_for_each_step_of_the_templates():
+    campaign = find_campaign("lidar-range")
+    options = OTHERS["lidar-range"] | {"steps": (60.0, 30.0)}
+    frame = pl.DataFrame(schema=campaign.schema)
+    results = [
+        CellResult(cell, frame, campaign.summarise(cell, frame))
+        for cell in campaign.cells(campaign.options(**options))
+    ]
+    (figure,) = campaign.sections(results)[0].figures
+    assert [trace.name for trace in figure.data] == [
+        f"templates {step} deg, detection {detection}" for step in (60, 30) for detection in ("off", "on")
+    ]
 
 
 def test_what_is_accepted_is_wrong_wherever_something_else_was_scanned():

@@ -1,7 +1,9 @@
 """What holds of the package's files, whatever they do."""
 
 import ast
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -53,6 +55,20 @@ def test_a_package_that_provides_a_method_counts_for_the_digest(monkeypatch):
     assert "counting_campaign" not in dict(_all_sources(trial))
     monkeypatch.setattr(software, "providers", lambda: ("rpod_schemas", "counting_campaign"))
     assert dict(_all_sources(trial))["counting_campaign"].name == "counting_campaign.py"
+
+
+def test_only_this_packages_options_and_reports_are_left_out_of_the_digest():
+    names = dict(_all_sources(find("pmd-tracking").trial.__module__))
+    assert "rpod_pose/navigation/dynamics/options.py" in names
+    assert not {"rpod_campaign.pmd/options.py", "rpod_campaign.pmd/report/tables.py"} & set(names)
+
+
+def test_a_trial_of_a_campaign_beside_a_shared_folder_counts_for_the_digest(monkeypatch):
+    module = ModuleType("rpod_campaign.lidar_other")
+    module.cell = find("lidar-range").trial
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    modules, _ = software._trials(module.__name__)
+    assert "rpod_campaign.lidar_range.trial" in modules
 
 
 def test_the_engine_knows_no_campaign_and_no_sensor():

@@ -231,6 +231,18 @@ def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apar
             assert all(len(row) == len(table.columns) for row in table.rows)
 
 
+def test_the_figure_has_a_line_for_each_world_and_surroundings(rows):
+    frame = pl.DataFrame([rows[0]], schema=population.SCHEMA)
+    around = [("documented", "none"), ("noisy", "none"), ("documented", "laboratory")]
+    cells_ = [replace(LIDAR, world=world, surroundings=things) for world, things in around]
+    results = [CellResult(cell, frame, summarise(cell, frame)) for cell in cells_]
+    (figure,) = sections(results)[1].figures
+    assert [trace.name for trace in figure.data] == [", ".join(pair) for pair in around]
+    other = replace(LIDAR, target="envisat-bulky")
+    results = [CellResult(cell, frame, summarise(cell, frame)) for cell in (LIDAR, other)]
+    assert [trace.name for trace in sections(results)[1].figures[0].data] == [LIDAR.target, other.target]
+
+
 def test_a_matrix_has_each_target_with_itself_and_with_each_model(tmp_path, capsys):
     options = {"sensor": "lidar", "target": "hexagonal-body", "models": "@scale=1%,nothing", "trials": 1}
     run = {"jobs": 1, "out": tmp_path, "as_json": True}

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 import yaml
+from pydantic import ValidationError
 
 from rpod.scenarios import find, shipped
 from rpod_campaign.catalogue import BUILT_IN
@@ -66,6 +67,13 @@ def test_a_range_is_in_metres_or_in_longest_sides(brick):
     assert [cell.range_m for cell in cells("lidar-acquisition", target=(brick,), ranges=("2.5x",))] == (
         pytest.approx([2.0] * 3)
     )
+    assert LidarOptions(ranges=(".5x", "0.05x", "10x")).ranges == (".5x", "0.05x", "10x")
+
+
+@pytest.mark.parametrize("nothing", ["0x", "0.0x", ".0x", "x"])
+def test_a_range_of_no_longest_sides_is_refused(nothing):
+    with pytest.raises(ValidationError, match="pattern"):
+        LidarOptions(ranges=(nothing,))
 
 
 def test_the_ranges_of_a_shipped_target_are_the_default_and_those_of_another_follow_from_its_returns(brick):

@@ -45,6 +45,16 @@ def cad(tmp_path: Path) -> Path:
     return tmp_path / "sat.obj"
 
 
+def test_a_material_may_have_the_name_of_faces_without_one(cad: Path, cache: Path) -> None:
+    text = cad.read_text().replace("usemtl grey\n", "").replace("blue stuff", "plain")
+    cad.write_text(text)
+    (cad.parent / "colours.mtl").write_text(MTL.replace("blue stuff", "plain"))
+    made = draft(cad, cad.parent / "out" / "sat.yaml", DraftOptions(units="m", mass_kg=50.0), cache=cache)
+    assert {"plain", "plain-2"} <= {
+        material.name for material in load_target(made.file, cache=cache).materials
+    }
+
+
 def test_a_target_is_written_from_a_cad_file(cad: Path, cache: Path) -> None:
     said: list[str] = []
     options = DraftOptions(units="m", mass_kg=50.0)

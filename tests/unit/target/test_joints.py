@@ -55,6 +55,10 @@ def test_at_an_angle_the_target_is_the_one_whose_file_has_the_part_turned(jointe
     points_m = same.model_points_m + 0.05 * same.model_normals
     off_m = sampled(turned.require_field(), points_m) - sampled(same.require_field(), points_m)
     assert np.abs(off_m).max() < 0.04
+    between_m = [[0.0, 1.3, 0.6], [0.3, 2.2, -0.5]]  # beyond the grid of the body
+    for place in between_m:
+        nearest_m = min(np.linalg.norm(same.model_points_m - place, axis=1))
+        assert sampled(turned.require_field(), np.array([place]))[0] == pytest.approx(nearest_m, abs=0.06)
     assert turned.digest != posed(jointed, {}).digest != jointed.digest
     assert posed(same, {"array": 1.0}) is same
 

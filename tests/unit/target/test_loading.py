@@ -47,6 +47,14 @@ def test_the_digest_follows_every_parameter(build: Build) -> None:
     assert len(digests) == 5
 
 
+def test_a_cached_target_has_its_materials_whatever_their_order(
+    document: dict[str, Any], build: Build
+) -> None:
+    build()
+    backwards = build(materials=dict(reversed(document["materials"].items())))
+    assert {backwards.materials[index].name for index in backwards.triangle_material} == {"paint"}
+
+
 def test_the_digest_follows_the_bytes_of_a_mesh(build: Build, write_stl: Callable[[str, Any], Path]) -> None:
     triangles_m = build().triangles_m
     part = {"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0}

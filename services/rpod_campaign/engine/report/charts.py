@@ -6,9 +6,16 @@ from typing import Any
 import plotly.graph_objects as go
 
 from rpod_analysis.report.figures import ACCENT, BAD, QUIET, styled
+from rpod_campaign.engine.report.numbers import NONE
 from rpod_campaign.engine.report.statistics import Rate
 
 COLOURS = (ACCENT, "#e8973a", "#3aa876", "#a46de0", BAD, "#5bb8c9", "#c96f9e", QUIET)
+
+
+def distinct(name: Sequence[str], among: Sequence[Sequence[str]]) -> str:
+    """Return the parts of a name that are not equal in all names, on one line; empty if all are equal."""
+    differs = [len({other[k] for other in among}) > 1 for k in range(len(name))]
+    return ", ".join(part for part, shown in zip(name, differs, strict=True) if shown and part != NONE)
 
 
 def rate_figure(

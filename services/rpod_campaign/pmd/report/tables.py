@@ -1,17 +1,20 @@
 """Tables and curves that the camera's campaigns share."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import plotly.graph_objects as go
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Table
-from rpod_campaign.engine.report.numbers import millimetres, milliseconds, number, percent, word
+from rpod_campaign.engine.report.numbers import NONE, millimetres, milliseconds, number, percent, word
 from rpod_campaign.pmd.report.summary import AXES, OTHER_AXES, Results, rms
 from rpod_campaign.pmd.sequence import SequenceCell
 
-_NAMES = ("scenario", "case", "frames", "through", "method", "radius, px")
+NAMES = ("scenario", "case", "frames", "through", "method", "radius, px")
+"""Columns of ``name_of``."""
 _UNITS = ("roll, deg", "pitch, deg", "yaw, deg", "x, mm", "y, mm", "z, mm")
 LOST = (
     "A frame is lost if the tracker gives no pose, so that the last one is kept as the next guess, or if the "
@@ -28,15 +31,13 @@ def name_of(cell: SequenceCell) -> tuple[str, ...]:
     )
 
 
-def label(cell: SequenceCell, among: Results) -> str:
+def label(cell: SequenceCell, among: Sequence[SequenceCell]) -> str:
     """Return the text that distinguishes a cell from the others, one line."""
-    names = [name_of(result.cell) for result in among]
-    parts = [
-        f"{value} px" if column == _NAMES[-1] else value
-        for k, (column, value) in enumerate(zip(_NAMES, name_of(cell), strict=True))
-        if len({name[k] for name in names}) > 1 and value != "-"
-    ]
-    return ", ".join(parts) or cell.method
+    return distinct(_line(cell), [_line(other) for other in among]) or cell.method
+
+
+def _line(cell: SequenceCell) -> tuple[str, ...]:
+    return (*name_of(cell)[:-1], NONE if cell.radius_px is None else f"{cell.radius_px} px")
 
 
 def overview(results: Results) -> tuple[Table, Table]:
@@ -60,7 +61,7 @@ def _errors(results: Results) -> Table:
             )
         )
     columns = ("images", *_UNITS, "norm, deg", "norm, mm", "greatest, deg", "greatest, mm")
-    return Table("RMS and greatest errors", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+    return Table("RMS and greatest errors", (*NAMES, *columns), tuple(rows)).condensed(len(NAMES))
 
 
 def _conduct(results: Results) -> Table:
@@ -84,15 +85,15 @@ def _conduct(results: Results) -> Table:
         *("images", "lost", "without pose", "off", "target's pixels with depth"),
         *("median, ms", "p95, ms", "mean NEES", "of", "inside 95 %"),
     )
-    return Table("Lost frames, time, consistency", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+    return Table("Lost frames, time, consistency", (*NAMES, *columns), tuple(rows)).condensed(len(NAMES))
 
 
 def other_axes(results: Results) -> Table:
     """Return the RMS errors with attitude in the sensor's axes and position in the target's."""
     rows = [(*name_of(result.cell), *_six(rms(result.rows, OTHER_AXES))) for result in results]
     return Table(
-        "RMS, attitude in the camera's axes, position in the target's", (*_NAMES, *_UNITS), tuple(rows)
-    ).condensed(len(_NAMES))
+        "RMS, attitude in the camera's axes, position in the target's", (*NAMES, *_UNITS), tuple(rows)
+    ).condensed(len(NAMES))
 
 
 def by_range(results: Results) -> Table:
@@ -105,12 +106,12 @@ def by_range(results: Results) -> Table:
         ]
         rows.append((*name_of(result.cell), *(_norms(part) for part in found)))
     columns = tuple(f"{low} to {low + 1} m" for low in bins)
-    return Table("RMS by range, deg / mm", (*_NAMES, *columns), tuple(rows)).condensed(len(_NAMES))
+    return Table("RMS by range, deg / mm", (*NAMES, *columns), tuple(rows)).condensed(len(NAMES))
 
 
 def errors_over_range(results: Results) -> tuple[go.Figure, ...]:
     """Return the error norms over the range, as medians over trials."""
-    figures = []
+    figures, cells = [], [result.cell for result in results]
     for column, title, scale in (
         ("attitude_deg", "attitude error [deg]", 1.0),
         ("position_m", "position error [mm]", 1e3),
@@ -119,7 +120,7 @@ def errors_over_range(results: Results) -> tuple[go.Figure, ...]:
         for result in results:
             medians = pl.col("range_m", column).median()
             rows = result.rows.group_by("frame").agg(medians).sort("range_m")
-            curves[label(result.cell, results)] = (
+            curves[label(result.cell, cells)] = (
                 rows["range_m"].to_list(),
                 (scale * rows[column]).to_list(),
             )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_geometry.rays import NEAREST_M, Hits, RayGrid, cast
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.brightness import albedos
 from rpod_schemas.config.lidar.methods import ScanComparisonConfig
@@ -52,6 +52,7 @@ class ScanComparison:
         range_m = np.stack((hits.range_m, *beside_m))
         nearest_m, farthest_m = range_m.min(axis=0), np.where(range_m < np.inf, range_m, 0.0).max(axis=0)
         measured_m = np.linalg.norm(scan.points_m, axis=-1)
+        measured_m[~(measured_m > NEAREST_M)] = np.nan
         agrees = (measured_m > nearest_m - tolerance_m) & (measured_m < farthest_m + tolerance_m)
         missing = np.isnan(measured_m) & (range_m < np.inf).all(axis=0) & self._bright(hits, T_sensor_target)
         counted = np.count_nonzero(np.isfinite(measured_m) | missing)

@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.integrity.levels import Solution
+from rpod_schemas.poses import rotation_matrix
 
 
 def refused_solutions(history: History, share: float) -> list[Solution]:
@@ -27,4 +28,6 @@ def refused_solutions(history: History, share: float) -> list[Solution]:
         return []
     by_chance = float(chdtrc(step.predicted.alike.dof, step.outcome.nis))
     probability = share / (share + by_chance)
-    return [Solution("if the refused measurement is right", found.difference, found.noise, probability)]
+    R = rotation_matrix(step.measurement.T_chaser_target)
+    covariance = step.predicted.alike.with_free_variance(found.noise + found.lasting, R, 0.0)
+    return [Solution("if the refused measurement is right", found.difference, covariance, probability)]

@@ -60,10 +60,12 @@ def test_points_of_a_moving_target_come_to_where_they_were_at_the_stamp() -> Non
 def test_rows_columns_and_gaps_are_kept_and_the_scan_itself_is_left_alone() -> None:
     points_m = np.full((3, 4, 3), np.nan)
     points_m[1, 2] = [1.0, 2.0, 30.0]
+    points_m[2, 3] = 0.0  # as many sensors say that a ray did not return
     scan = scan_of(points_m, np.linspace(-0.1, 0.1, 12).reshape(3, 4))
     before = scan.points_m.copy()
     moved = deskewed(scan, POSE, velocity_m_s=VELOCITY_M_S, rate_rad_s=RATE_RAD_S)
     np.testing.assert_array_equal(np.isfinite(moved.points_m), np.isfinite(points_m))
+    np.testing.assert_array_equal(moved.points_m[2, 3], 0.0)
     np.testing.assert_array_equal(scan.points_m, before)
 
 

@@ -182,8 +182,9 @@ def test_returns_that_should_be_there_and_are_not_count_against_a_pose():
     comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), PATTERN)
     T, _ = pose_and_guess(0)
     points_m = scan_at(T).points_m.copy()
-    points_m[::2] = np.nan
-    assert comparison.explained_share(scan_of(points_m), T) == pytest.approx(0.5, abs=0.1)
+    for missing in (np.nan, 0.0):
+        points_m[::2] = missing
+        assert comparison.explained_share(scan_of(points_m), T) == pytest.approx(0.5, abs=0.1)
 
 
 def test_the_same_scan_gives_the_same_registration():

@@ -113,6 +113,25 @@ def test_a_thinned_scan_is_what_the_thinned_pattern_saw(stride):
     assert_same(VIEW.seen(SCAN).every(stride), VIEW.every(stride).seen(scan_of(thin)))
 
 
+def test_a_scan_without_every_second_row_is_thinned_to_the_others():
+    points_m = SCAN.points_m.copy()
+    points_m[::2] = np.nan
+    seen = VIEW.seen(scan_of(points_m))
+    first = seen.first(2)
+    assert first[0] == 1
+    thin = points_m[first[0] :: 2, first[1] :: 2]
+    assert_same(seen.every(2, first), VIEW.every(2, first).seen(scan_of(thin)))
+    assert VIEW.seen(SCAN).first(2) == (0, 0)
+
+
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_azimuths_may_count_from_any_turn(turns):
+    turned = ScanView.of(LIDAR.azimuth_rad + 2.0 * np.pi * turns, LIDAR.elevation_rad)
+    np.testing.assert_array_equal(
+        turned.seen(scan_of(returned_m(SCAN))).rays, VIEW.seen(scan_of(returned_m(SCAN))).rays
+    )
+
+
 def test_a_point_beside_the_pattern_is_thinned_away():
     seen = VIEW.seen(scan_of([[15.0, 0.0, 20.0], [0.0, 0.0, 20.0]]))
     assert seen.every(2).returns == 1

@@ -22,6 +22,7 @@ from rpod_pose.navigation.integrity.monitor import (
     Memory,
     Monitor,
 )
+from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
@@ -33,6 +34,7 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry, Source
+from rpod_target.equivalence import Equivalence
 
 SECOND_NS = 1_000_000_000
 CONFIG = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-6)
@@ -180,6 +182,17 @@ def test_a_level_contains_the_measurement_that_the_gate_refuses(track):
     assert off_m < told.position_level_m < off_m + 0.05
     assert told.state is IntegrityState.UNAVAILABLE
     assert "refused measurement" in told.reason
+
+
+def test_the_refused_measurement_of_a_target_with_a_free_axis_leaves_a_level():
+    alike = Equivalence(np.eye(3)[None], np.array([[0.0, 1.0, 0.0]]))
+    filtered = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG, alike=alike)
+    off = truth(0.0) * make_pose(translation_m=(0.0, 0.0, 30.0))
+    history = apply(History(filtered), PoseMeasurement(START_NS + SECOND_NS, off, COVARIANCE), CONFIG).history
+    (solution,) = refused_solutions(history, 0.01)
+    about_the_axis, *others = np.linalg.eigvalsh(solution.covariance[3:, 3:])
+    assert about_the_axis == pytest.approx(0.0, abs=1e-15)
+    assert others == pytest.approx([SIGMA_RAD**2] * 2, rel=10.0)
 
 
 def test_a_frozen_stream_is_an_alert_until_it_moves_again(track):

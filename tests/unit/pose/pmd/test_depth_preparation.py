@@ -291,7 +291,9 @@ def test_the_angle_about_a_free_axis_may_stay_undetermined(target):
     axis = np.array((0.0, 1.0, 0.0))
     revolved = replace(target, symmetries=(Symmetry(tuple(axis), order=12, exact=True, continuous=True),))
     method = Sliding(np.concatenate((np.zeros(3), OBLIQUE.apply(axis))))
-    assert PreparedAcquirer(method, DepthPreparation(PmdInput(), revolved)).acquire(ideal).begins_track
+    preparation = DepthPreparation(PmdInput(), revolved)
+    assert PreparedAcquirer(method, preparation).acquire(ideal).begins_track
+    assert PreparedTracker(method, preparation).track(ideal, pose_at(2.0)).begins_track
 
 
 # --- frames of another camera ---
