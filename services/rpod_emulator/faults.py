@@ -60,6 +60,8 @@ class Faults:
     in_lockstep: bool = False
     sensors: Mapping[str, str] = field(default_factory=dict)
     """Kinds of the sensors, by name."""
+    run: int = 0
+    """Number of runs that have begun."""
     _planned: list[Window] = field(default_factory=list)
     _requested: list[Window] = field(default_factory=list)
 
@@ -77,8 +79,14 @@ class Faults:
         return self
 
     def begin(self, config: EmulatorConfig, epoch_ns: int | None) -> None:
-        """Plan the configured faults from the scenario's epoch; without one, those of the start only."""
+        """Plan the configured faults from the scenario's epoch; without one, those of the start only.
+
+        In lockstep, where times repeat, those that were requested in a run before are over.
+        """
         self._planned = []
+        if self.in_lockstep:
+            self._requested = []
+        self.run += 1
         for planned in config.faults:
             if planned.start_s and epoch_ns is None:
                 continue
@@ -149,13 +157,13 @@ class FaultyNode:
         self._node, self._faults, self._seed = node, faults, seed
         self._name, self._kind = sensor.name, sensor.kind
         self._parts = parts_of(sensor.kind, sensor.name)
-        self._injections: dict[str, Injection] = {}
         self._publishers: dict[tuple[Topic, str], Publisher] = {}
         self._announced: dict[str, tuple[Topic, Any, Sequence[str]]] = {}
         self._waiting: list[tuple[float, int, int, Outgoing]] = []
         self._due_s: dict[str, float] = {}
         self._numbers = count()
-        self._newest_ns = 0
+        self._run, self._newest_ns = faults.run, 0
+        self._injections: dict[tuple[str, int], Injection] = {}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._node, name)
@@ -167,27 +175,28 @@ class FaultyNode:
     def put(self, topic: Topic, message: Any) -> None:
         """Publish a message, or what the faults make of it."""
         outgoing = Outgoing(topic, self._parts.get(topic.name, "extra"), message)
-        if not outgoing.latched:
-            self._newest_ns = max(self._newest_ns, outgoing.stamp_ns)
-        active = self._active(self._newest_ns)
-        if active:  # it may be kept or delayed, and the sensor uses its arrays again
+        active = self._active(0 if outgoing.latched else outgoing.stamp_ns)
+        if active or topic.name in self._due_s:  # it may wait, and the sensor uses its arrays again
             outgoing = replace(outgoing, message=copy.deepcopy(message))
         if outgoing.latched:
             self._announced[topic.name] = topic, message, [each.fault for each in active]
         self._send(outgoing, active)
 
-    def _active(self, stamp_ns: int) -> list[Injection]:
-        sizes = {
-            window.fault.name: window.size
-            for window in self._faults.at(self._name, stamp_ns)
+    def _active(self, stamp_ns: int = 0) -> list[Injection]:
+        if self._run != self._faults.run:  # the times may be those of the run before
+            self._run, self._newest_ns, self._injections = self._faults.run, 0, {}
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        windows = {
+            window.fault.name: window
+            for window in self._faults.at(self._name, self._newest_ns)
             if window.fault.subject == "messages" and window.fault.can_be_in(self._kind)
         }
-        for over in self._injections.keys() - sizes.keys():
-            del self._injections[over]
-        for name, size in sizes.items():
-            if name not in self._injections:
-                self._injections[name] = injection(name, self._kind, self._seed, size=size)
-        return [self._injections[name] for name in sizes]
+        before, self._injections = self._injections, {}
+        for name, window in windows.items():
+            key = name, window.start_ns
+            made = before.get(key) or injection(name, self._kind, self._seed, size=window.size)
+            self._injections[key] = made
+        return list(self._injections.values())
 
     def _send(self, outgoing: Outgoing, active: list[Injection]) -> None:
         several = [outgoing]
@@ -216,7 +225,7 @@ class FaultyNode:
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             _, _, since_ns, outgoing = heapq.heappop(self._waiting)
             self._publish(outgoing, since_ns)
-        active = self._active(self._newest_ns)
+        active = self._active()
         names = [each.fault for each in active]
         for topic, message, before in list(self._announced.values()):
             if names != before and (set(names) ^ set(before)):

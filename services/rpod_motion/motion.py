@@ -115,9 +115,10 @@ def build_motion(
     attitude = _attitude(config.attitude, inertia_kg_m2, duration_s)
     trajectory = _trajectory(config.trajectory, centre_of_mass_m, duration_s)
     if isinstance(config.trajectory, ApproachConfig) and config.trajectory.synchronised:
-        if isinstance(config.attitude, FixedAttitudeConfig):
+        if isinstance(config.attitude, FixedAttitudeConfig | SwayConfig):
             raise MotionError(
-                "synchronised has no effect where the attitude is fixed to the chaser; choose spin or tumble"
+                "synchronised needs an attitude that is not relative to the chaser "
+                f"({config.attitude.kind} is): choose spin or tumble"
             )
         trajectory = Synchronised(trajectory, attitude)
     if config.slew is not None:

@@ -108,8 +108,9 @@ class MotionServiceConfig(ServiceConfig):
     """Sensors for whose frames lockstep waits."""
     lockstep: LockstepConfig = LockstepConfig()
     """Services for which lockstep waits."""
-    preroll_s: NonNegative = 0.1
-    """Time before the epoch from which truth is published, s; exposures around the epoch need it."""
+    preroll_s: float = Field(default=0.1, ge=0.0, le=0.9)
+    """Time before the epoch from which truth is published, s; exposures around the epoch need it. The motion
+    is defined from a second before the epoch on."""
     lead_s: NonNegative = 0.02
     """Time before its stamp at which truth is published on the wall clock, s, so that emulated sensors are
     ready when real ones would be. It has no effect in lockstep."""

@@ -48,7 +48,8 @@ class LidarScan(SensorFrame):
         """RMS time of the returns from the stamp, s; 0 without times."""
         if self.time_s is None or not self.time_s.any():
             return 0.0
-        returned_s = self.time_s[np.isfinite(self.points_m).all(axis=-1)]
+        returned = np.isfinite(self.points_m).all(axis=-1) & self.points_m.any(axis=-1)
+        returned_s = self.time_s[returned]  # points of zeros are rays without a return
         return float(np.sqrt(np.mean(returned_s**2))) if returned_s.size else 0.0
 
     @property

@@ -146,7 +146,7 @@ class Partial(Content):
 
 
 class Frozen(Injection):
-    """The first content of each part, under new stamps."""
+    """The first content of each topic, under new stamps."""
 
     fault = "frozen"
 
@@ -155,8 +155,8 @@ class Frozen(Injection):
         self._first: dict[str, Outgoing] = {}
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
-        """Return the first message of the part under this stamp."""
-        return [stamped(self._first.setdefault(outgoing.part, outgoing), outgoing.stamp_ns)]
+        """Return the first message of the topic under this stamp."""
+        return [stamped(self._first.setdefault(outgoing.topic.name, outgoing), outgoing.stamp_ns)]
 
 
 class Saturation(Content):

@@ -62,7 +62,7 @@ class LostMessages(Injection):
 
     def part(self, outgoing: Outgoing, elapsed_s: float) -> list[Outgoing]:  # noqa: ARG002
         """Return the part, marked where it is lost; parts of a frame are lost one by one."""
-        key = [self.seed, outgoing.stamp_ns % 2**62, zlib.crc32(outgoing.part.encode())]
+        key = [self.seed, outgoing.stamp_ns % 2**62, zlib.crc32(outgoing.topic.name.encode())]
         lot = np.random.default_rng(key).random()
         return [replace(outgoing, lost=bool(lot < (self.size or 0.0)))]
 

@@ -1,5 +1,6 @@
 """Faults of emulated sensors: when they hold, and what a sensor's publisher makes of its messages."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,48 @@ def test_a_frozen_frame_keeps_its_content_though_the_sensor_uses_its_arrays_agai
     assert read_stamp(second["depth"].header) == 2 * SECOND_NS
     assert np.array_equal(read_image(second["depth"]), np.full((36, 24), 5.0))
     assert np.array_equal(read_image(first["depth"]), read_image(second["depth"]))
+
+
+def test_a_second_run_with_the_times_of_the_first_one_has_its_faults():
+    fault = PlannedFault(fault="blackout", start_s=1.0, duration_s=1.0)
+    camera = Camera24(fault)
+    for _ in range(2):
+        camera.faults.begin(config(fault), 0)
+        shares = [lost_share(camera.frame(stamp_s)["depth"]) for stamp_s in (0.5, 1.5, 2.5)]
+        assert shares == [0.0, 1.0, 0.0]
+
+
+def test_a_fault_that_follows_another_of_its_kind_has_its_own_size():
+    planned = [
+        PlannedFault(fault="biased", start_s=start_s, duration_s=1.0, size=size_m)
+        for start_s, size_m in ((1.0, 0.1), (2.0, 0.5))
+    ]
+    camera = Camera24(*planned)
+    camera.faults.begin(config(*planned), 0)
+    depth_m = [read_image(camera.frame(stamp_s)["depth"])[0, 0] for stamp_s in (0.5, 1.5, 2.5)]
+    assert np.subtract(depth_m, [4.5, 5.5, 6.5]) == pytest.approx([0.0, 0.1, 0.5], abs=0.02)
+
+
+def test_what_waits_behind_a_delayed_message_keeps_its_content():
+    camera = Camera24(PlannedFault(fault="slow_link", start_s=1.0, duration_s=1.0))
+    camera.faults.begin(config(PlannedFault(fault="slow_link", start_s=1.0, duration_s=1.0)), 0)
+    for stamp_s in (1.0, 1.9, 2.1):
+        camera.frame(stamp_s)
+    deadline_s = time.monotonic() + 10.0
+    while len([each for each in camera.kept.received if each.topic.name == "pmd/depth/image_raw"]) < 3:
+        assert time.monotonic() < deadline_s
+        camera.outlet.refresh()
+        time.sleep(0.01)
+    newest = [each for each in camera.kept.received if each.topic.name == "pmd/depth/image_raw"][-1]
+    assert read_image(newest.decode())[0, 0] == pytest.approx(6.1)
+
+
+def test_frozen_messages_stay_on_their_own_topics():
+    frozen = injection("frozen", "pmd", 0)
+    for topic in (Topic("pmd/phase/image_raw", "x"), Topic("pmd/depth_sigma/image_raw", "x")):
+        message = write_image(SECOND_NS, "pmd", np.ones((2, 2), np.float32), "32FC1")
+        (made,) = frozen.apply(Outgoing(topic, "extra", message))
+        assert made.topic == topic
 
 
 def test_a_mount_is_announced_anew_when_a_fault_of_it_begins_and_ends():

@@ -13,6 +13,7 @@ from rpod_schemas.config.motion import (
     FixedAttitudeConfig,
     MotionConfig,
     SpinConfig,
+    SwayConfig,
     TumbleConfig,
 )
 
@@ -114,6 +115,7 @@ def test_a_synchronised_chaser_sees_the_target_at_rest_but_for_the_way_and_the_s
     np.testing.assert_allclose(rate, state.chaser_angular_rad_s, atol=1e-5)
 
 
-def test_an_approach_cannot_be_synchronised_with_a_target_that_is_fixed_to_the_chaser() -> None:
-    with pytest.raises(MotionError, match="choose spin or tumble"):
-        synchronised(FixedAttitudeConfig())
+@pytest.mark.parametrize("attitude", [FixedAttitudeConfig(), SwayConfig()], ids=lambda one: one.kind)
+def test_an_approach_cannot_be_synchronised_with_an_attitude_relative_to_the_chaser(attitude) -> None:
+    with pytest.raises(MotionError, match=f"relative to the chaser .{attitude.kind} is"):
+        synchronised(attitude)
