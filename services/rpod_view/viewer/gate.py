@@ -187,8 +187,9 @@ class _Watching(socket.socket):
 
 
 def _is_closed(browser: socket.socket) -> bool:
-    readable, _, _ = select.select([browser], [], [], 0.0)
-    return bool(readable) and not browser.recv(1, socket.MSG_PEEK)
+    watched = select.poll()  # select takes no descriptor above 1,023
+    watched.register(browser, select.POLLIN)
+    return bool(watched.poll(0)) and not browser.recv(1, socket.MSG_PEEK)
 
 
 def _stream(found: HTTPResponse) -> Iterator[bytes]:
