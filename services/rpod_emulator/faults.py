@@ -176,7 +176,8 @@ class FaultyNode:
         """Publish a message, or what the faults make of it."""
         outgoing = Outgoing(topic, self._parts.get(topic.name, "extra"), message)
         active = self._active(0 if outgoing.latched else outgoing.stamp_ns)
-        if active or topic.name in self._due_s:  # it may wait, and the sensor uses its arrays again
+        waits = self._due_s.get(topic.name, 0.0) > time.monotonic()
+        if active or waits:  # it may be kept, and the sensor uses its arrays again
             outgoing = replace(outgoing, message=copy.deepcopy(message))
         if outgoing.latched:
             self._announced[topic.name] = topic, message, [each.fault for each in active]
