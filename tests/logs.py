@@ -2,6 +2,7 @@
 
 from collections import Counter
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 from mcap.exceptions import McapError
@@ -25,7 +26,21 @@ def read_closed(path: Path) -> Counter[str]:
 def messages_of(path: Path, topic: str) -> list[Message]:
     """Return a topic's messages in the order of the file, up to where a log that was not closed ends."""
     messages: list[Message] = []
-    with path.open("rb") as stream, suppress(McapError):
-        for _, _, message in NonSeekingReader(stream).iter_messages(topic, log_time_order=False):
+    reader = NonSeekingReader(_WholeReads(path.read_bytes()))
+    with suppress(McapError):
+        for _, _, message in reader.iter_messages(topic, log_time_order=False):
             messages.append(message)
     return messages
+
+
+class _WholeReads(BytesIO):
+    """The bytes of a log at one moment.
+
+    A read beyond their end gives nothing, which the library takes as the end.
+    The library would go on after a shorter read. In a log that still grows it would then read other bytes.
+    """
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return `size` bytes, or none if fewer are left."""
+        data = super().read(size)
+        return b"" if size is not None and len(data) < size else data
