@@ -135,8 +135,9 @@ class Registration:
     """Test of the target's model by the frame's residuals; None for a method that has none."""
     range_bias_m: float = 0.0
     """Length by which all ranges of the frame are too long, as found with the pose; 0 where none is."""
-    other_sizes: tuple[OtherSize, ...] = ()
-    """Poses for other sizes of the target; empty for a method that does not tell."""
+    other_sizes: Callable[[], tuple[OtherSize, ...]] = tuple
+    """Returns poses for other sizes of the target; none for a method that does not tell. They are computed at
+    the call, as an estimate does not wait for them."""
     by_part: PartSolution | None = None
     """Position by a part of the data; None for a method that does not tell."""
 

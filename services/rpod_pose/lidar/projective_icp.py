@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
 from rpod_pose.belief import worst_sigma
-from rpod_pose.lidar.outline.other_size import other_sizes
+from rpod_pose.lidar.outline.other_size import OtherSizes
 from rpod_pose.lidar.posterior.sampled_posterior import SPREAD, SampledPosterior
 from rpod_pose.lidar.posterior.scan_uncertainty import FaceRows, model_covariance, noise_information
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors, pose_covariance
@@ -193,11 +193,11 @@ class ProjectiveIcp:
     def _with_sizes(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration
     ) -> Registration:
-        """Return a registration that continues a track with its poses for other sizes of the target."""
+        """Return a registration that continues a track with the way to its poses for other sizes."""
         if not registration.continues_track:
             return registration
         assumed, declared = self.model.assumed, self._model_error.scale
-        sizes = other_sizes(problem, found, seen.range_m, assumed, self._reach, scale_tolerance=declared)
+        sizes = OtherSizes(problem, found, seen.range_m, assumed, self._reach, declared)
         return replace(registration, other_sizes=sizes)
 
     def _resumed(

@@ -9,7 +9,10 @@ Likelihoods of returns are densities of their ranges. Those of ranges divided by
 that each return's logarithm is reduced by log k before two sizes are compared.
 """
 
+from dataclasses import dataclass
+from functools import partial
 from math import log
+from typing import Any
 
 import numpy as np
 
@@ -29,40 +32,48 @@ SIGMAS = 4.0
 more. Physics: one in 16,000 normal errors is larger."""
 
 
-def other_sizes(
-    problem: FaceProblem,
-    found: ScanRegistration,
-    range_m: FloatArray,
-    assumed: Assumptions,
-    reach: Reach,
-    *,
-    scale_tolerance: float,
-) -> tuple[OtherSize, ...]:
-    """Return the registrations with a smaller and with a larger target; without one that has no solution.
+@dataclass(frozen=True, eq=False)
+class OtherSizes:
+    """Registers a scan with a smaller and with a larger target when it is called.
 
-    Args:
-        problem: all returns and the target.
-        found: the registration with the model's own size.
-        range_m: measured range of each ray, 0 without a return, negative where something hides the target,
-            shape (rows, columns).
-        assumed: statistics of returns.
-        reach: what the outline can tell.
-        scale_tolerance: standard deviation of the size, as a share, that the target's file declares.
+    Another process gets the results: the scan and the target would be many megabytes.
     """
-    most = max(SHARE, SIGMAS * scale_tolerance)
-    returns = int(np.count_nonzero(range_m > 0.0))
-    sizes = []
-    for share in (-most, most):
-        k = 1.0 + share
-        start = PoseArrays(found.pose.R, found.pose.t / k)
-        shorter_m = (range_m / k).astype(range_m.dtype)
-        scaled = outline_mean(_shorter(problem, k), start, shorter_m, _shorter_statistics(assumed, k), reach)
-        R, t = scaled.pose
-        step = step_between(pose_of(*found.pose), pose_of(R, k * t))
-        if np.isfinite(step).all():
-            log_odds = _log_likelihood(scaled) - returns * log(k) - _log_likelihood(found)
-            sizes.append(OtherSize(share, log_odds, step))
-    return tuple(sizes)
+
+    problem: FaceProblem
+    """All returns and the target."""
+    found: ScanRegistration
+    """The registration with the model's own size."""
+    range_m: FloatArray
+    """Measured range of each ray, 0 without a return, negative where something hides the target, shape
+    (rows, columns)."""
+    assumed: Assumptions
+    """Statistics of returns."""
+    reach: Reach
+    """What the outline can tell."""
+    scale_tolerance: float
+    """Standard deviation of the size, as a share, that the target's file declares."""
+
+    def __call__(self) -> tuple[OtherSize, ...]:
+        """Return the registrations with both sizes; without one that has no solution."""
+        most = max(SHARE, SIGMAS * self.scale_tolerance)
+        sizes = (self._of(share) for share in (-most, most))
+        return tuple(size for size in sizes if np.isfinite(size.step).all())
+
+    def __reduce__(self) -> tuple[type[partial[tuple[OtherSize, ...]]], tuple[Any, ...]]:
+        return partial, (tuple, self())
+
+    def _of(self, share: float) -> OtherSize:
+        """Return the registration with a target that is larger by a share; not finite if there is none."""
+        k, (R, t) = 1.0 + share, self.found.pose
+        shorter_m = (self.range_m / k).astype(self.range_m.dtype)
+        statistics = _shorter_statistics(self.assumed, k)
+        scaled = outline_mean(
+            _shorter(self.problem, k), PoseArrays(R, t / k), shorter_m, statistics, self.reach
+        )
+        step = step_between(pose_of(R, t), pose_of(scaled.pose.R, k * scaled.pose.t))
+        returns = int(np.count_nonzero(self.range_m > 0.0))
+        log_odds = _log_likelihood(scaled) - returns * log(k) - _log_likelihood(self.found)
+        return OtherSize(share, log_odds, step)
 
 
 def _log_likelihood(found: ScanRegistration) -> float:

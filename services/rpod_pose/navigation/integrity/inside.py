@@ -61,8 +61,8 @@ class Inside:
         parts = {name: part for name, part in self.parts.items() if part[0] >= oldest_ns}
         if found is not None and found.misfit is not None:
             misfits[sensor] = (*misfits.get(sensor, ()), (stamp_ns, found.misfit))
-        if found is not None and found.other_sizes:
-            sizes[sensor] = (*sizes.get(sensor, ()), (stamp_ns, found.other_sizes))
+        if found is not None and (other_sizes := found.other_sizes()):
+            sizes[sensor] = (*sizes.get(sensor, ()), (stamp_ns, other_sizes))
         if found is not None and found.by_part is not None:
             parts[sensor] = (stamp_ns, found.by_part)
         return Inside(misfits, sizes, parts)

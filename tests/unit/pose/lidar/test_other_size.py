@@ -1,5 +1,7 @@
 """Scans of a target that has another size than its model."""
 
+import pickle
+
 import numpy as np
 import pytest
 from lidar_scans import BULKY, load, random_pose, scan_at, tracker
@@ -20,13 +22,23 @@ def scan():
 
 
 def by_share(found):
-    return {round(100.0 * size.share): size for size in found.other_sizes}
+    return {round(100.0 * size.share): size for size in found.other_sizes()}
 
 
 def test_the_right_model_is_likelier_than_a_target_of_another_size(scan):
     sizes = by_share(tracker().track(scan, T))
     assert set(sizes) == {-3, 3}
     assert all(size.log_odds < -20.0 for size in sizes.values())
+
+
+def test_another_process_gets_the_poses_of_other_sizes_without_the_scan_and_the_target(scan):
+    found = tracker().track(scan, T)
+    sent = pickle.dumps(found)
+    assert len(sent) < 10_000
+    here, there = by_share(found), by_share(pickle.loads(sent))  # noqa: S301 - of this test
+    assert {share: size.log_odds for share, size in there.items()} == {
+        share: size.log_odds for share, size in here.items()
+    }
 
 
 @pytest.mark.parametrize("percent", [-3, 3])

@@ -1,6 +1,7 @@
 """The integrity monitor: levels, tests and states, on tracks whose errors are known."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -347,7 +348,7 @@ def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, l
     began = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
     estimate = replace(began, covariance=1e-12 * began.covariance)
     step = np.array([0.0, 0.0, 0.0, np.deg2rad(3.0), 0.0, 0.0])
-    told = inside(other_sizes=(OtherSize(0.03, log_odds, step),))
+    told = inside(other_sizes=lambda: (OtherSize(0.03, log_odds, step),))
     others, between = told.size_solutions(estimate, 1e-6, 1e-4, 1.0)
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
@@ -362,8 +363,8 @@ def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_i
     stamp_ns = track.state.history.state.stamp_ns
     told = []
     for step_m in np.linspace(0.0, 0.05, 51):
-        sizes = tuple(OtherSize(share, -60.0, np.eye(6)[2] * step_m) for share in (-0.03, 0.03))
-        track.memory = replace(track.memory, inside=inside(other_sizes=sizes))
+        sizes = [OtherSize(share, -60.0, np.eye(6)[2] * step_m) for share in (-0.03, 0.03)]
+        track.memory = replace(track.memory, inside=inside(other_sizes=partial(tuple, sizes)))
         told.append(track.judge(stamp_ns, sensor="pmd"))
     assert {each.state for each in told} == {IntegrityState.NOMINAL, IntegrityState.CAUTION}
     assert all((SIZE_DECLARED in each.reason) == (each.state is IntegrityState.CAUTION) for each in told)
@@ -373,7 +374,7 @@ def test_sizes_of_frames_within_a_second_count_as_one():
     size = OtherSize(0.03, 10.0, np.zeros(6))
     told = Inside()
     for k in range(10):
-        registration = Registration(Source.LIDAR, other_sizes=(size,))
+        registration = Registration(Source.LIDAR, other_sizes=lambda: (size,))
         told = told.after("lidar", START_NS + k * SECOND_NS // 10, registration, 60.0)
     (test,) = told.tests(10.0, 0.0, 1.0)
     assert test.value == pytest.approx(2.0 * 10.0 * 1.9)
