@@ -81,6 +81,10 @@ class Relay:
             writer.transport.abort()
             return
         both = (writer, writer_2)
+        if self._condition.cut:  # since the connection came
+            for each in both:
+                _reset(each)
+            return
         self._writers.update(both)
         try:
             await asyncio.gather(self._pump(reader, writer_2), self._pump(reader_2, writer))
@@ -115,9 +119,9 @@ class Relay:
         free_s = 0.0
         while True:
             arrived_s, data = await waiting.get()
+            await self._wait(arrived_s, is_end=not data)
             if not data:
                 return
-            await self._wait(arrived_s)
             if self._condition.dead:
                 continue
             lost_s = self._lost_s(len(data), more=bool(waiting))
@@ -130,11 +134,11 @@ class Relay:
             self.passed_bytes += len(data)
             await writer.drain()
 
-    async def _wait(self, arrived_s: float) -> None:
-        """Wait for the end of the delay, and of a stall."""
+    async def _wait(self, arrived_s: float, *, is_end: bool) -> None:
+        """Wait for the end of the delay and of a stall. The end of a connection waits on a dead link too."""
         while (left_s := arrived_s + self._condition.delay_s - time.monotonic()) > 0.0:
             await asyncio.sleep(min(left_s, _POLL_S * 4))
-        while self._condition.stalled:
+        while self._condition.stalled or (is_end and self._condition.dead):
             await asyncio.sleep(_POLL_S)
 
     def _lost_s(self, size: int, *, more: bool) -> float:

@@ -111,6 +111,28 @@ def test_a_dead_link_says_nothing_and_is_reset_when_it_returns():
     play(body)
 
 
+@pytest.mark.parametrize("condition", [Condition(stalled=True), Condition(dead=True), Condition(delay_s=0.3)])
+def test_the_end_of_a_connection_passes_a_bad_link_no_sooner_than_its_bytes(condition):
+    async def body(link: Link) -> None:
+        reader, writer = await link.connect()
+        writer.write(b"before")
+        await reader.readexactly(6)
+        link.relay.set(condition)
+        writer.write_eof()
+        end = asyncio.create_task(reader.read(1))
+        done, _ = await asyncio.wait([end], timeout=0.2)
+        assert not done
+        link.relay.set(GOOD)
+        if condition.dead:
+            with pytest.raises(ConnectionResetError):
+                await end
+        else:
+            assert await end == b""
+        writer.close()
+
+    play(body)
+
+
 def test_a_cut_closes_each_connection_old_and_new():
     async def body(link: Link) -> None:
         reader, writer = await link.connect()
