@@ -1,11 +1,11 @@
 """The sensor emulator's and the motion service's configuration."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
-from rpod_schemas.config.motion import JointMotionConfig, MotionConfig, TruthErrorConfig
+from rpod_schemas.config.motion import TRUTH_RATE_HZ, JointMotionConfig, MotionConfig, TruthErrorConfig
 from rpod_schemas.config.sensor import EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
@@ -91,7 +91,7 @@ class MotionServiceConfig(ServiceConfig):
     """Motion of chaser and target."""
     duration_s: Positive
     """Duration of the scenario, s."""
-    rate_hz: Positive = 250.0
+    rate_hz: Positive = TRUTH_RATE_HZ
     """Rate of the truth, Hz."""
     truth_error: TruthErrorConfig | None = None
     """Errors of the published truth; exact if left out. ``motion/reference`` is always exact."""
@@ -114,3 +114,8 @@ class MotionServiceConfig(ServiceConfig):
     lead_s: NonNegative = 0.02
     """Time before its stamp at which truth is published on the wall clock, s, so that emulated sensors are
     ready when real ones would be. It has no effect in lockstep."""
+
+    @model_validator(mode="after")
+    def _rates_divide_that_of_the_truth(self) -> Self:
+        self.motion.check_rates(self.rate_hz)
+        return self

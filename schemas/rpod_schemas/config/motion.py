@@ -4,7 +4,7 @@ Chaser axes: z is the direction of approach and the sensors' boresight, x points
 Quantities at the epoch are in the chaser's axes at the epoch.
 """
 
-from math import radians
+from math import isclose, radians
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -16,6 +16,9 @@ from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.poses import Attitude, Pose, make_pose
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+TRUTH_RATE_HZ = 250.0
+"""Rate of the truth, if the motion service is not configured otherwise, Hz."""
 
 
 def _with_direction(vector: FloatArray) -> FloatArray:
@@ -251,3 +254,16 @@ class MotionConfig(Config):
     """The chaser's IMU; it has none if left out."""
     bodies: dict[Name, BodyMotionConfig] = Field(default_factory=dict)
     """Frames of known bodies whose poses are published as ``bodies/<frame>/odometry``, by name."""
+
+    def check_rates(self, truth_hz: float) -> None:
+        """Check that each rate of readings divides a rate of the truth. Raises ``ValueError``."""
+        rates = {f"motion.bodies.{name}.rate_hz": body.rate_hz for name, body in self.bodies.items()}
+        if self.imu is not None:
+            rates["motion.imu.rate_hz"] = self.imu.rate_hz
+        for field, rate_hz in rates.items():
+            possible_hz = truth_hz / max(1, round(truth_hz / rate_hz))
+            if not isclose(rate_hz, possible_hz, rel_tol=1e-6):
+                raise ValueError(
+                    f"{field} is {rate_hz:g}, needs a divisor of the truth's rate, {truth_hz:g} Hz: the "
+                    f"nearest is {possible_hz:.6g}"
+                )

@@ -8,7 +8,7 @@ from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.facility.link import Link, LinkConfig
-from rpod_schemas.config.motion import MotionConfig, TruthErrorConfig
+from rpod_schemas.config.motion import TRUTH_RATE_HZ, MotionConfig, TruthErrorConfig
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault
 
@@ -69,6 +69,11 @@ class Scenario(Config):
     estimator: ScenarioEstimator
     """Sensors, navigator and filter of the estimator, and the target that it looks for. If it names no
     sensors, it listens to all, each with the default configuration of its kind."""
+
+    @model_validator(mode="after")
+    def _rates_divide_that_of_the_truth(self) -> Self:
+        self.motion.check_rates(TRUTH_RATE_HZ)
+        return self
 
     @property
     def model(self) -> str:

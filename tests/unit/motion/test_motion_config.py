@@ -4,14 +4,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from rpod.scenarios import find
 from rpod_schemas.config.base import check
+from rpod_schemas.config.emulator import MotionServiceConfig
 from rpod_schemas.config.motion import (
     ApproachConfig,
     MotionConfig,
     StationKeepingConfig,
     TumbleConfig,
 )
+from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import ConfigurationError
 
 
@@ -94,3 +98,22 @@ def test_a_wrong_field_is_named_with_the_reason(document: dict[str, Any], field:
     with pytest.raises(ConfigurationError, match=reason) as raised:
         check(MotionConfig, document, source="scenario")
     assert raised.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("readings", "field"),
+    [
+        ({"imu": {"rate_hz": 100}}, "motion.imu.rate_hz is 100"),
+        ({"imu": {"rate_hz": 400}}, "motion.imu.rate_hz is 400"),
+        ({"bodies": {"forearm": {"rate_hz": 30}}}, "motion.bodies.forearm.rate_hz is 30"),
+    ],
+)
+def test_readings_whose_rate_does_not_divide_that_of_the_truth_are_refused(readings, field):
+    motion = MotionConfig.model_validate(readings)
+    with pytest.raises(ValueError, match=field):
+        motion.check_rates(250.0)
+    MotionServiceConfig(target="mockup", motion=motion, duration_s=1.0, rate_hz=1200.0)
+    with pytest.raises(ValidationError, match=f"{field}, needs a divisor of the truth's rate, 250 Hz"):
+        MotionServiceConfig(target="mockup", motion=motion, duration_s=1.0)
+    with pytest.raises(ValidationError, match=field):
+        Scenario.model_validate(dict(find("mockup-tumbling")) | {"motion": motion})
