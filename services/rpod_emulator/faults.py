@@ -181,6 +181,8 @@ class FaultyNode:
             outgoing = replace(outgoing, message=copy.deepcopy(message))
         if outgoing.latched:
             self._announced[topic.name] = topic, message, [each.fault for each in active]
+        else:
+            self._announce(active)
         self._send(outgoing, active)
 
     def _active(self, stamp_ns: int = 0) -> list[Injection]:
@@ -195,8 +197,9 @@ class FaultyNode:
         before, self._injections = self._injections, {}
         for name, window in windows.items():
             key = name, window.start_ns
-            made = before.get(key) or injection(name, self._kind, self._seed, size=window.size)
-            self._injections[key] = made
+            self._injections[key] = before.get(key) or injection(
+                name, self._kind, self._seed, sensor=self._name, size=window.size
+            )
         return list(self._injections.values())
 
     def _send(self, outgoing: Outgoing, active: list[Injection]) -> None:
@@ -226,7 +229,9 @@ class FaultyNode:
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             _, _, since_ns, outgoing = heapq.heappop(self._waiting)
             self._publish(outgoing, since_ns)
-        active = self._active()
+        self._announce(self._active())
+
+    def _announce(self, active: list[Injection]) -> None:
         names = [each.fault for each in active]
         for topic, message, before in list(self._announced.values()):
             if names != before and (set(names) ^ set(before)):

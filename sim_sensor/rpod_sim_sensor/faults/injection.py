@@ -1,6 +1,7 @@
 """The interface of an injection, and the look-up by the fault's name."""
 
 import copy
+import zlib
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -83,8 +84,15 @@ class Injection:
         return np.random.default_rng([self.seed, outgoing.stamp_ns % 2**62, 0xFA17])
 
 
-def injection(name: str, kind: str, seed: int, *, size: float | None = None) -> Injection:
-    """Return the injection of a fault into a sensor of a kind, of the catalogue's own size by default.
+def injection(name: str, kind: str, seed: int, *, sensor: str = "", size: float | None = None) -> Injection:
+    """Return the injection of a fault into a sensor, with a random stream of its own.
+
+    Args:
+        name: name of the fault.
+        kind: kind of the sensor.
+        seed: seed of all faults of all sensors.
+        sensor: name of the sensor.
+        size: size of the fault, in the catalogue's unit; the catalogue's own if None.
 
     Raises:
         SchemaError: there is no fault of this name, or the kind cannot have it.
@@ -95,7 +103,7 @@ def injection(name: str, kind: str, seed: int, *, size: float | None = None) -> 
     for module in _MODULES:
         found: dict[str, type[Injection]] = resolve(f"rpod_sim_sensor.faults.{module}:INJECTIONS")
         if name in found:
-            made = found[name](kind, seed)
+            made = found[name](kind, zlib.crc32(f"{seed}/{sensor}/{name}".encode()))
             made.size = fault.amount(size)
             return made
     raise SchemaError(f"the fault {name!r} cannot be injected")

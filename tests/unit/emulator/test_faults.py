@@ -293,3 +293,25 @@ def test_parts_of_a_frame_are_lost_on_the_bus_one_by_one():
         parts = (Outgoing(Topic(part, "x"), part, message) for part in ("depth", "amplitude"))
         lost.append([each.apply(part)[0].lost for each, part in zip(both, parts, strict=True)])
     assert 0.35 < np.mean([depth != amplitude for depth, amplitude in lost]) < 0.65
+
+
+def test_each_sensor_and_each_fault_has_random_numbers_of_its_own():
+    def drawn(sensor, fault="lost_messages", seed=1):
+        made = injection(fault, "pmd", seed, sensor=sensor, size=0.5)
+        images = (write_image(k * SECOND_NS, "pmd", np.ones((4, 6), np.float32), "32FC1") for k in range(20))
+        return [made.random(Outgoing(Topic("depth", "x"), "depth", each)).random() for each in images]
+
+    one = drawn("near")
+    assert drawn("near") == one
+    for other in (drawn("far"), drawn("near", fault="dropout"), drawn("near", seed=2)):
+        assert not set(one) & set(other)
+
+
+def test_the_first_frame_of_a_fault_of_stamps_is_stamped_as_the_next_ones():
+    begins = PlannedFault(fault="stamp_start", start_s=5.0, duration_s=4.0)
+    camera = Camera24(begins)
+    camera.publisher.announce(PmdConfig().info(0.02))
+    camera.faults.begin(config(begins), 0)
+    stamps_ns = [read_stamp(camera.frame(at_s)["depth"].header) for at_s in (4.9, 5.0, 5.1)]
+    half_ns = PmdConfig().info(0.02).duration_s * SECOND_NS / 2
+    assert stamps_ns == [4_900_000_000, 5_000_000_000 - half_ns, 5_100_000_000 - half_ns]
