@@ -130,23 +130,27 @@ def _rays(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], p
 
 
 @lru_cache(maxsize=8)
+def _slopes(
+    size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...]
+) -> tuple[RayGrid, FloatArray]:
+    """Return the rays of all pixels, and their slopes, (height, width, 2): a lens takes long to invert."""
+    rays = RayGrid.pinhole(_camera(size, intrinsics, distortion))
+    x, y, z = rays.components
+    return rays, np.stack((x / z, y / z), axis=-1)
+
+
+def offset_of(camera: Camera, stride: int) -> int:
+    """Return the row and column, px, of the first of every ``stride``-th pixel of a camera."""
+    return min(stride // 2, camera.width - 1, camera.height - 1)
+
+
+@lru_cache(maxsize=32)
 def _view(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], stride: int) -> DepthView:
     camera = _camera(size, intrinsics, distortion)
-    (width, height), (fx, fy, cx, cy) = size, intrinsics
-    offset = min(stride // 2, width - 1, height - 1)
-    downsampled = camera.model_copy(  # not a camera of a message, so the limits of messages do not apply
-        update={
-            "width": len(range(offset, width, stride)),
-            "height": len(range(offset, height, stride)),
-            "fx": fx / stride,
-            "fy": fy / stride,
-            "cx": (cx - offset) / stride,
-            "cy": (cy - offset) / stride,
-        }
-    )
-    x, y, z = RayGrid.pinhole(camera).components
-    slopes = np.stack((x / z, y / z), axis=-1)
-    return DepthView(camera, slopes, RayGrid.pinhole(downsampled), stride, offset)
+    offset = offset_of(camera, stride)
+    rays, slopes = _slopes(size, intrinsics, distortion)
+    coarse = RayGrid(np.ascontiguousarray(rays.components[:, offset::stride, offset::stride]))
+    return DepthView(camera, slopes, coarse, stride, offset)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import NEAREST_M
-from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView
-from rpod_pose.surroundings.separation import Label, RangeImage, upsampled
+from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, upsampled
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
@@ -54,8 +54,7 @@ class PmdFrames:
 
     def image(self, frame: PmdFrame, *, fine: bool) -> RangeImage | None:
         """Return the ranges of every few pixels; None if the lens cannot be inverted."""
-        rays = FINE_RAYS if fine else COARSE_RAYS
-        stride = int(np.ceil(np.sqrt(frame.depth_m.size / rays)))
+        stride = _stride(frame, FINE_RAYS if fine else COARSE_RAYS)
         if frame.camera.distortion[LENS_COEFFICIENTS:].any():
             return None
         try:
@@ -69,18 +68,18 @@ class PmdFrames:
         hidden = None if frame.hidden is None else frame.hidden[every]
         range_m = (depth_m / grid.components[2]).astype(np.float32)
         noise_m = _noise_m(range_m, frame.amplitude[every]) if fine and frame.amplitude is not None else None
-        return RangeImage(grid, range_m, hidden, noise_m)
+        return RangeImage(grid, range_m, hidden, noise_m, Every(stride, view.offset))
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame that is dark beside the target, and saturated where something hides it.
 
         Without an amplitude no pixel can be dark: what lies beyond the target inside its outline stays.
         """
-        measured = frame.depth_m > 0.0
-        label = _of_unmeasured(upsampled(labels, frame.depth_m.shape), measured)
+        measured, shape, every = frame.depth_m > 0.0, frame.depth_m.shape, _every_fine(frame)
+        label = _of_unmeasured(upsampled(labels, every, shape), measured)
         hiding, beyond = label == Label.HIDING, label == Label.BEYOND
         if frame.amplitude is None:
-            beyond &= ~upsampled(inside, frame.depth_m.shape)
+            beyond &= ~upsampled(inside, every, shape)
         hidden = hiding if frame.hidden is None else hiding | frame.hidden
         images = {"depth_m": np.where(hiding | beyond, np.float32(np.nan), frame.depth_m), "hidden": hidden}
         if frame.amplitude is not None:
@@ -96,7 +95,7 @@ class PmdFrames:
     def behind_bodies(self, frame: PmdFrame, hides: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame without the pixels on known bodies, given by the rays of its fine image."""
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
-        hidden = upsampled(hides, frame.depth_m.shape)
+        hidden = upsampled(hides, _every_fine(frame), frame.depth_m.shape)
         separated = self.separated(frame, labels, np.zeros(hides.shape, np.bool_))
         if frame.hidden is not None:
             hidden = hidden | frame.hidden
@@ -119,6 +118,17 @@ class PmdFrames:
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
         """Return the z-depth of each pixel, as measured: gate and background refer to it."""
         return frame.range_image_m
+
+
+def _stride(frame: PmdFrame, rays: int) -> int:
+    """Return the distance of the pixels, px, of which an image has at most about a number."""
+    return int(np.ceil(np.sqrt(frame.depth_m.size / rays)))
+
+
+def _every_fine(frame: PmdFrame) -> Every:
+    """Return which pixels the fine image of a frame has."""
+    stride = _stride(frame, FINE_RAYS)
+    return Every(stride, offset_of(frame.camera, stride))
 
 
 def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:

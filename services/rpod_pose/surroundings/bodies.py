@@ -163,7 +163,7 @@ def placed(image: RangeImage, surface: Surface, pose: RigidTransform) -> Place |
         return None
     tolerance_m = surface.tolerance_m
     reach = image.rays_across(tolerance_m, float(rendered_m[met].min()))
-    shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    shape = reach.around
     tolerance = np.float32(tolerance_m)
     nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - tolerance
     farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + tolerance
@@ -180,13 +180,13 @@ def _hidden_by(image: RangeImage, place: Place) -> NDArray[np.bool_]:
     next to it, so that their ranges are neither's.
     """
     met = np.isfinite(place.rendered_m)
-    shape = np.ones((2 * place.reach + 1, 2 * place.reach + 1), np.uint8)
+    shape = place.reach.around
     around, surely = (change(met.view(np.uint8), shape).view(np.bool_) for change in (cv2.dilate, cv2.erode))
     measured = image.range_m > 0.0
     before = measured & (image.range_m < place.nearest_m)
     beyond = measured & (image.range_m > place.farthest_m) & ~surely
     on_body = around & ~before & ~beyond
-    if place.reach == 1:  # rays are farther apart than the tolerance: each sees one surface
+    if max(place.reach) == 1:  # rays are farther apart than the tolerance: each sees one surface
         return on_body
     beside = cv2.dilate(on_body.view(np.uint8), NEIGHBOURS).view(np.bool_)
     hidden: NDArray[np.bool_] = on_body | (beside & ~before)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_pose.surroundings.separation import RangeImage
+from rpod_pose.surroundings.separation import RangeImage, Spans
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -81,8 +81,8 @@ class Place(NamedTuple):
     cosine: FloatArray
     """Cosine of incidence of the rays that meet it, same shape."""
     tolerance_m: float
-    reach: int
-    """Number of rays that its tolerance spans."""
+    reach: Spans
+    """Numbers of rays that its tolerance spans."""
 
     def agreeing(self, measured_m: Float32Array) -> NDArray[np.bool_]:
         """Return the rays whose measured ranges, 0 without one, are those of the body, shape (rows, columns).
@@ -91,8 +91,7 @@ class Place(NamedTuple):
         beside its rays altogether.
         """
         met, measured = np.isfinite(self.rendered_m), measured_m > 0.0
-        shape = np.ones((2 * self.reach + 1, 2 * self.reach + 1), np.uint8)
-        if np.count_nonzero(cv2.erode(met.view(np.uint8), shape)) < THICK * np.count_nonzero(met):
+        if np.count_nonzero(cv2.erode(met.view(np.uint8), self.reach.around)) < THICK * np.count_nonzero(met):
             return measured & (measured_m >= self.nearest_m) & (measured_m <= self.farthest_m)
         away_m = np.abs(measured_m - np.where(met, self.rendered_m, 0.0)) * np.maximum(self.cosine, STEEPEST)
         agrees: NDArray[np.bool_] = measured & met & (away_m <= self.tolerance_m)
@@ -124,9 +123,8 @@ class Sighting:
 def sighting(body: str, image: RangeImage, place: Place) -> Sighting:
     """Return what a frame shows of a body."""
     met, measured_m = np.isfinite(place.rendered_m), image.range_m
-    shape = np.ones((2 * place.reach + 1, 2 * place.reach + 1), np.uint8)
     measured = measured_m > 0.0
-    near = cv2.dilate(place.agreeing(measured_m).view(np.uint8), shape).view(np.bool_)
+    near = cv2.dilate(place.agreeing(measured_m).view(np.uint8), place.reach.around).view(np.bool_)
     in_place = int(np.count_nonzero(met & near))
     beyond = int(np.count_nonzero(met & ~near & measured & (measured_m > place.farthest_m)))
     missing = int(np.count_nonzero(met & ~near & ~measured))
@@ -190,7 +188,7 @@ def _offset(
     around = _subsampled(_beside(met, place.reach), ring_m, MOST_AROUND)
     steps = np.arange(-FARTHEST_STEPS, FARTHEST_STEPS + 1)
     in_tolerances = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    shifts = in_tolerances * place.reach
+    shifts = in_tolerances * np.array(place.reach)
     off_m, seen = inside.shifted(image.range_m, shifts)
     along_m = _medians(off_m, seen)
     near = np.abs(along_m) <= FARTHEST_STEPS * place.tolerance_m
@@ -233,11 +231,10 @@ def _agreeing(
     return share
 
 
-def _beside(met: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def _beside(met: NDArray[np.bool_], reach: Spans) -> NDArray[np.bool_]:
     """Return the rays a tolerance beside those that meet a body."""
-    near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (max(reach - 1, 0), reach))
-    widened = (cv2.dilate(met.view(np.uint8), shape).view(np.bool_) for shape in (near, far))
-    inner, outer = widened
+    shapes = (reach.longer(-1).around, reach.around)
+    inner, outer = (cv2.dilate(met.view(np.uint8), shape).view(np.bool_) for shape in shapes)
     ring: NDArray[np.bool_] = outer & ~inner
     return ring
 

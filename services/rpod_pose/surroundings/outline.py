@@ -42,7 +42,7 @@ def seen_outline(
     if not len(row):
         return 0.0
     distance_m = float(np.linalg.norm(T_sensor_target.translation))
-    beside = image.rays_across(BESIDE * target.radius_m, distance_m) + 1
+    beside = np.array(image.rays_across(BESIDE * target.radius_m, distance_m).longer(1))[:, None]
     outwards = _outwards(met, row, column)
     at = np.rint(np.stack((row, column)) + beside * outwards).astype(np.intp)
     rows, columns = image.range_m.shape

@@ -220,8 +220,8 @@ def _of_size(
         yield surface
         return
     distance_m = float(np.median(image.range_m[surface]))
-    width = 2 * image.rays_across(THIN * radius_m, distance_m) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    down, across = image.rays_across(THIN * radius_m, distance_m)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * across + 1, 2 * down + 1))
     count, number = cv2.connectedComponents(cv2.erode(surface.view(np.uint8), disc), connectivity=4)
     for n in range(1, count):
         bulk = cv2.dilate((number == n).view(np.uint8), disc).view(bool) & surface
@@ -284,7 +284,8 @@ def around_place(
     middle_m = np.median(image.points_m[place], axis=0)
     distance_m = float(np.linalg.norm(middle_m))
     near_m, far_m = (
-        upsampled(bound, fine.range_m.shape) for bound in _bounds(image.range_m, place, APART * radius_m)
+        upsampled(bound, image.every, fine.range_m.shape, fine.every)
+        for bound in _bounds(image.range_m, place, APART * radius_m)
     )
     mine = (near_m <= fine.range_m) & (fine.range_m <= far_m)
     towards = fine.grid.directions @ (middle_m / distance_m) > np.cos(

@@ -7,11 +7,13 @@ nothing of it. A ray that ends beyond it has passed the target.
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import RayGrid, cast
@@ -36,8 +38,8 @@ SIGMAS = 4.0
 errors is larger."""
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 """A ray and those around it. Physics: 3 x 3."""
-MOST_RAYS = 24
-"""Most rays by which an image is widened or narrowed. Numerics: a budget; the time grows with its square."""
+AHEAD = 0.02
+"""Cosine to the boresight below which a ray is not ahead, so that its slope tells no direction. Numerics."""
 
 
 class Label(IntEnum):
@@ -49,6 +51,39 @@ class Label(IntEnum):
     """Something before the target: the ray tells nothing of it."""
     BEYOND = 2
     """Something beside or behind the target: the ray does not meet it."""
+
+
+class Every(NamedTuple):
+    """Rays of a sensor that an image has: every few of them, in rows and in columns."""
+
+    stride: int = 1
+    offset: int = 0
+    """Row and column of the first ray."""
+
+    def nearest(self, other: "Every", count: int, most: int) -> NDArray[np.intp]:
+        """Return the numbers of the nearest of these rays to ``count`` others, at most ``most``, (count,)."""
+        places = other.offset + other.stride * np.arange(count) - self.offset + self.stride // 2
+        return np.clip(places // self.stride, 0, most).astype(np.intp)
+
+
+EACH = Every()
+"""All rays. Numerics: one from each to the next."""
+
+
+class Spans(NamedTuple):
+    """Numbers of rays that a length spans."""
+
+    rows: int
+    columns: int
+
+    @property
+    def around(self) -> NDArray[np.uint8]:
+        """All rays within the length of one, shape (2 rows + 1, 2 columns + 1)."""
+        return np.ones((2 * self.rows + 1, 2 * self.columns + 1), np.uint8)
+
+    def longer(self, rays: int) -> "Spans":
+        """Return the spans with more rays."""
+        return Spans(self.rows + rays, self.columns + rays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +98,8 @@ class RangeImage:
     known."""
     sigma_m: Float32Array | None = None
     """Standard deviation of each range's noise, same shape; None if it is not known."""
+    every: Every = EACH
+    """Which rays of the sensor these are."""
 
     def corrected(self, bias_m: float) -> "RangeImage":
         """Return the image without an error that all ranges share; a ray without a range stays without."""
@@ -77,16 +114,30 @@ class RangeImage:
         points_m: FloatArray = self.range_m[..., None] * self.grid.directions
         return points_m
 
-    def rays_across(self, length_m: float, distance_m: float) -> int:
-        """Return how many rays a length across the line of sight spans, 1 to ``MOST_RAYS``."""
-        rows, columns = self.range_m.shape
-        pair: FloatArray = self.grid.directions[rows // 2, columns // 2 - 1 : columns // 2 + 1]
-        spacing_m = distance_m * float(np.linalg.norm(pair[-1] - pair[0]))
-        return int(np.clip(np.ceil(length_m / max(spacing_m, 1e-9)), 1, MOST_RAYS))
+    @cached_property
+    def _spacing_rad(self) -> tuple[float, float]:
+        """Angle from one row to the next, and from one column to the next, in the middle."""
+        rows, columns = (count // 2 for count in self.range_m.shape)
+        middle = self.grid.directions[max(rows - 1, 0) : rows + 1, max(columns - 1, 0) : columns + 1]
+        down, across = (np.linalg.norm(middle[-1, -1] - each) for each in (middle[0, -1], middle[-1, 0]))
+        return float(down), float(across)
+
+    def rays_across(self, length_m: float, distance_m: float) -> Spans:
+        """Return how many rays a length across the line of sight spans, at least 1 and at most all."""
+        spans = (
+            int(np.clip(np.ceil(length_m / max(distance_m * spacing, 1e-9)), 1, most))
+            for spacing, most in zip(self._spacing_rad, self.range_m.shape, strict=True)
+        )
+        return Spans(*spans)
 
     def in_view(self, points_m: FloatArray) -> float:
         """Return the share of points, sensor axes, shape (N, 3), that lie in the field of view."""
         x, y, z = self.grid.components
+        if z.min() < AHEAD:
+            rays = KDTree(self.grid.directions.reshape(-1, 3))
+            unit = points_m / np.maximum(np.linalg.norm(points_m, axis=1, keepdims=True), 1e-12)
+            away, _ = rays.query(unit, distance_upper_bound=max(self._spacing_rad))
+            return np.count_nonzero(np.isfinite(away)) / max(len(points_m), 1)
         ahead = points_m[points_m[:, 2] > 0.0]
         u, v = ahead[:, 0] / ahead[:, 2], ahead[:, 1] / ahead[:, 2]
         across, down = x / z, y / z
@@ -113,16 +164,19 @@ def with_bodies(labels: NDArray[np.uint8], image: RangeImage) -> NDArray[np.uint
     return labels if image.hidden is None else np.where(image.hidden, np.uint8(Label.HIDING), labels)
 
 
-def upsampled(image: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """Return an image of every few rays on all of them: each takes the value of the nearest."""
-    rows, columns = image.shape
-    step = -(-shape[0] // rows)
-    return image[
-        np.ix_(
-            np.minimum(np.arange(shape[0]) // step, rows - 1),
-            np.minimum(np.arange(shape[1]) // step, columns - 1),
-        )
-    ]
+def upsampled(
+    image: NDArray[Any], every: Every, shape: tuple[int, int], others: Every = EACH
+) -> NDArray[Any]:
+    """Return an image of some rays on others: each takes the value of the nearest.
+
+    Args:
+        image: values, shape (rows, columns).
+        every: which rays of the sensor these are.
+        shape: number of the other rows and columns.
+        others: which rays these are; all of the sensor if left out.
+    """
+    sizes = zip(shape, image.shape, strict=True)
+    return image[np.ix_(*(every.nearest(others, count, last - 1) for count, last in sizes))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +211,7 @@ def _beside(
     """
     distance_m = float(np.median(rendered_m[met])) if met.any() else 1.0
     width = image.rays_across(BESIDE * radius_m, distance_m)
-    near, far = (np.ones((2 * n + 1, 2 * n + 1), np.uint8) for n in (width, width + 1))
+    near, far = width.around, width.longer(1).around
     ring = _widened(met, far) & ~_widened(met, near)
     return ring, np.asarray(cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), far), np.float32)
 
@@ -207,7 +261,7 @@ def _going_on(
     image: RangeImage,
     rendered_m: Float32Array,
     around: NDArray[np.bool_],
-    reach: int,
+    reach: Spans,
     margin_m: float,
 ) -> NDArray[np.bool_]:
     """Return the rays just outside the target's reach at which a surface goes on at its range.
@@ -219,10 +273,10 @@ def _going_on(
         image: ranges of a frame.
         rendered_m: ranges of the target at a pose, infinite beside it, shape (rows, columns).
         around: rays within reach of the rendered target, same shape.
-        reach: number of rays by which the target may be displaced.
+        reach: numbers of rays by which the target may be displaced.
         margin_m: error of its ranges.
     """
-    farther = np.ones((2 * reach + 3, 2 * reach + 3), np.uint8)
+    farther = reach.longer(1).around
     met = np.isfinite(rendered_m)
     just_outside = _widened(met, farther) & ~around & (image.range_m > 0.0)
     nearest_m = cv2.erode(rendered_m, farther, borderValue=np.inf) - margin_m
@@ -251,8 +305,9 @@ def with_target_at(
     hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=closed)
     rendered_m, measured_m = hits.range_m, image.range_m
     met, measured = hits.triangle >= 0, image.range_m > 0.0
-    reach = image.rays_across(margin.place_m, float(np.linalg.norm(T_sensor_target.translation)))
-    shape = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    distance_m = float(np.linalg.norm(T_sensor_target.translation))
+    reach = image.rays_across(margin.place_m, float(rendered_m.min(initial=distance_m)))
+    shape = reach.around
     nearest_m = cv2.erode(rendered_m, shape, borderValue=np.inf) - margin_m
     farthest_m = cv2.dilate(np.where(met, rendered_m, np.float32(0.0)), shape) + margin_m
     around = _widened(met, shape)

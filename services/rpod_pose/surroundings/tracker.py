@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import prod
 from typing import Generic
 
 import numpy as np
@@ -135,7 +136,7 @@ class TrackerAmongThings(Generic[FrameT]):
     def _most_unexplained(self, image: RangeImage, T_sensor_target: RigidTransform) -> int:
         """Return the greatest number of connected rays that may remain unexplained."""
         distance_m = float(np.linalg.norm(T_sensor_target.translation))
-        return max(LEAST_DETAIL, image.rays_across(DETAIL * self.target.radius_m, distance_m) ** 2)
+        return max(LEAST_DETAIL, prod(image.rays_across(DETAIL * self.target.radius_m, distance_m)))
 
     def again(self, measurement: FrameT, found: Registration) -> Registration:
         """Return a registration of the same frame from its own pose, with the margin that it was found at."""

@@ -5,11 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.surroundings.places import places
-from rpod_pose.surroundings.separation import Label, RangeImage, with_target_at
+from rpod_pose.pmd import depth_view
+from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.other_things import PmdFrames
+from rpod_pose.surroundings.places import around_place, places
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, with_target_at
 from rpod_pose.surroundings.separation import Margin as Errors
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import load_target
 
 TARGET = load_target("mockup")
@@ -128,3 +131,79 @@ def test_a_thin_body_that_an_arm_prolongs_is_searched_without_most_of_the_arm_to
     np.testing.assert_array_equal(whole, range_m > 0.0)
     assert not part[:10].any()
     assert part[75:105].sum() > 0.9 * np.count_nonzero(range_m[75:105])
+
+
+@pytest.mark.parametrize("size", [(352, 287), (640, 480), (512, 512), (1024, 1024), (641, 481)])
+def test_a_target_before_a_wall_is_kept_whatever_the_size_of_the_image(size):
+    width, height = size
+    camera = Camera(width=width, height=height, fx=0.9 * width, fy=0.9 * width, cx=width / 2, cy=height / 2)
+    grid = RayGrid.pinhole(camera)
+    hits = cast(grid, TARGET.triangles_m, make_pose(translation_m=(0.3, 0.2, 5.0)))
+    met = hits.triangle >= 0
+    depth_m = np.where(met, hits.range_m * grid.components[2], 9.0).astype(np.float32)
+    bright = np.full(depth_m.shape, 500, np.uint16)
+    frame = PmdFrame(stamp_ns=1, frame_id="", depth_m=depth_m, amplitude=bright, camera=camera)
+    frames = PmdFrames()
+    coarse, fine = (frames.image(frame, fine=each) for each in (False, True))
+    place = next(places(coarse, TARGET.radius_m))
+    labels = around_place(coarse, fine, place, TARGET.radius_m)
+    separated = frames.separated(frame, labels, np.zeros(labels.shape, bool))
+    kept = np.isfinite(separated.depth_m)
+    assert np.count_nonzero(kept & met) > 0.98 * np.count_nonzero(met)
+    assert np.count_nonzero(kept & ~met) < 0.02 * np.count_nonzero(met)
+
+
+def test_each_ray_takes_the_value_of_the_nearest_of_few_rays():
+    coarse, fine = Every(7, 3), Every(2, 1)
+    assert coarse.nearest(fine, 8, 99).tolist() == [0, 0, 0, 1, 1, 1, 1, 2]  # pixels 1, 3 to 15
+    assert coarse.nearest(fine, 8, 1).tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
+
+
+def wide_scan(rows_deg: float, columns_deg: float, up_deg: float = 20.0) -> RangeImage:
+    """Return the ranges of a scan that sees the target, and a second one far above it."""
+    azimuth, elevation = (np.radians(np.arange(-up_deg, up_deg, each)) for each in (columns_deg, rows_deg))
+    grid = RayGrid.azimuth_elevation(azimuth, elevation)
+    upper = make_pose(translation_m=(0.0, -2.4, 10.0))
+    range_m = np.minimum(*(cast(grid, TARGET.triangles_m, pose).range_m for pose in (AHEAD, upper)))
+    return RangeImage(grid, np.where(np.isfinite(range_m), range_m, 0.0).astype(np.float32))
+
+
+AHEAD = make_pose(translation_m=(0.0, 0.0, 10.0))
+
+
+def test_a_margin_is_as_wide_across_rows_as_across_columns_that_are_closer():
+    image = wide_scan(2.0, 0.2)
+    assert image.rays_across(0.7, 10.0) == Spans(rows=3, columns=21)
+    sight = with_target_at(image, TARGET, AHEAD, Errors(0.2, 0.2))
+    second = (image.range_m > 0.0) & (image.points_m[..., 1] < -1.8)
+    assert np.count_nonzero(second) > 10
+    assert (sight.labels[second] == Label.BEYOND).all()
+
+
+def test_a_margin_of_a_near_target_is_as_wide_as_that_of_a_remote_one():
+    near = RangeImage(GRID, seen())
+    assert near.rays_across(0.4, 1.0).columns == pytest.approx(0.4 * 341.0, abs=1.0)
+    assert near.rays_across(400.0, 1.0) == Spans(144, 176)
+
+
+@pytest.mark.parametrize(("azimuth_deg", "share"), [(0.0, 1.0), (95.0, 1.0), (180.0, 1.0), (250.0, 0.0)])
+def test_points_beside_and_behind_a_lidar_are_in_view_where_it_has_rays(azimuth_deg, share):
+    grid = RayGrid.azimuth_elevation(np.radians(np.arange(-30, 201, 1.0)), np.radians(np.arange(-20, 21, 2)))
+    image = RangeImage(grid, np.zeros(grid.shape, np.float32))
+    turn = Rotation.from_euler("y", azimuth_deg, degrees=True)
+    points_m = turn.apply([[0.3, 0.2, 6.0], [-0.3, -0.5, 5.0], [0.0, 0.4, 7.0]])
+    assert image.in_view(points_m) == share
+
+
+def test_a_lens_is_inverted_once_for_all_views_of_a_camera(monkeypatch):
+    made = []
+    pinhole = RayGrid.pinhole
+    monkeypatch.setattr(depth_view.RayGrid, "pinhole", lambda *args: made.append(args) or pinhole(*args))
+    lens = np.array([0.5, 0.1, 1e-4, 0.0, 0.02, 0.8, 0.2, 0.05])
+    camera = Camera(width=97, height=61, fx=60.0, fy=61.0, cx=47.0, cy=31.0, distortion=lens)
+    views = [DepthView.of(camera, stride) for stride in range(1, 12)]
+    assert len(made) == 1
+    for view in views:
+        every = (slice(view.offset, None, view.stride),) * 2
+        slopes = view.coarse.components[:2] / view.coarse.components[2]
+        assert np.allclose(np.moveaxis(slopes, 0, -1), view.slopes[every], atol=1e-12)
