@@ -8,7 +8,8 @@ A distance is shifted by whole unambiguous ranges c / 2f only if that brings it 
 sphere, so that background, glints and unwrapped distances stay as they are. The target's distance comes from
 the prediction; without one, from the mean phase of the image, which leaves the multiple unknown. Then the
 multiples at which the image has a possible size of the target are tried, nearest first: a wrong multiple
-scales the target by half or more, which no pose explains.
+scales the target by half or more, which no pose explains. Where the image shows more than the target, its
+mean phase and its size are those of a wall, and all multiples are tried.
 
 A target may be longer than the unambiguous range. Then some of its parts are measured too near, and still
 inside the sphere. So the target is rendered at the prediction, and a distance is shifted if the phases of all
@@ -29,6 +30,7 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.pmd.depth_view import rays_of
+from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
@@ -96,17 +98,36 @@ class DepthPreparation:
         return self._applied(frame, range_m, self.target.radius_m + _MARGIN * self._interval_m(frame))
 
     def possible(self, frame: PmdFrame) -> Iterator[PmdFrame]:
-        """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated."""
-        found = self._seen_at(frame) if self._interval_m(frame) else None
+        """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated.
+
+        Multiples at which the whole image has a possible size of the target come first. If it shows more than
+        the target at each of them, all others follow. Half of an unambiguous range is between two, so that
+        one of them contains the whole target.
+        """
+        interval_m, alone = self._interval_m(frame), False
+        for distance_m in self._fitting_m(frame, interval_m) if interval_m else [0.0]:
+            prepared = self._applied(frame, distance_m, 2.0 * self.target.radius_m)
+            alone = alone or not interval_m or not self._shows_more(prepared)
+            yield prepared
+        if not alone:
+            half_m = 0.5 * interval_m
+            for number in range(1, max(math.ceil(_FARTHEST_M / half_m), 2)):
+                yield self._applied(frame, number * half_m, half_m)
+
+    def _fitting_m(self, frame: PmdFrame, interval_m: float) -> list[float]:
+        """Return the distances at which the whole image has a possible size of the target, nearest first."""
+        found = self._seen_at(frame)
         if found is None:
-            yield self._applied(frame, 0.0, 0.0)
-            return
+            return []
         range_m, spread = found
-        ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), self._interval_m(frame)).tolist()
+        ranges_m = np.arange(range_m, max(_FARTHEST_M, range_m + 1e-3), interval_m).tolist()
         least, most = (share * self.target.radius_m for share in _SPREAD)
-        fitting_m = [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
-        for distance_m in fitting_m or ranges_m[:1]:
-            yield self._applied(frame, distance_m, 2.0 * self.target.radius_m)
+        return [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
+
+    def _shows_more(self, frame: PmdFrame) -> bool:
+        """Return whether a frame shows more than the target would fill."""
+        image = PmdFrames().image(frame, fine=False)
+        return image is not None and image.shows_more_than(self.target.radius_m)
 
     def _is_longer(self, frame: PmdFrame, range_m: float) -> bool:
         """Return whether wrapped parts of the target may be inside the sphere around it."""

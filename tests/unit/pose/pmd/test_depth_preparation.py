@@ -221,12 +221,25 @@ def test_without_a_prediction_the_image_is_joined_and_the_multiple_is_tried(targ
     assert inner.tried_m[-1] == pytest.approx(float(np.nanmedian(ideal.depth_m)), abs=1e-3)
 
 
-def test_noise_has_no_distance_to_be_joined_around(target):
+def test_noise_has_no_distance_to_be_joined_around_and_all_are_tried(target):
     rng = np.random.default_rng(3)
     noise = frame_of(rng.uniform(0.1, 7.4, (CAMERA.height, CAMERA.width)))
     frame = noise.model_copy(update={"info": info(MHZ_20)})
-    (only,) = DepthPreparation(PmdInput(), target).possible(frame)
-    np.testing.assert_array_equal(only.depth_m, frame.depth_m)
+    first, *others = DepthPreparation(PmdInput(), target).possible(frame)
+    np.testing.assert_array_equal(first.depth_m, frame.depth_m)
+    assert len(others) == 3
+    assert max(np.nanmax(each.depth_m) for each in others) > 14.0
+
+
+@pytest.mark.parametrize("wall_m", [9.8, 11.0, 14.0])
+@pytest.mark.parametrize("range_m", [3.0, 7.5, 8.5])
+def test_a_target_before_a_wall_is_whole_at_one_of_the_multiples(target, range_m, wall_m):
+    ideal = depth_frame(target, pose_at(range_m))
+    seen = np.isfinite(ideal.depth_m) & (ideal.depth_m > 0.0)
+    room = ideal.model_copy(update={"depth_m": np.where(seen, ideal.depth_m, np.float32(wall_m))})
+    tried = DepthPreparation(PmdInput(), target).possible(seen_by(room, MHZ_20))
+    right = [np.abs(each.depth_m - ideal.depth_m)[seen].max() < 1e-3 for each in tried]
+    assert any(right)
 
 
 def test_what_fails_at_every_multiple_fails_for_the_reason_of_the_nearest(target):
