@@ -119,8 +119,12 @@ def started(
 
 
 def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Update:
-    """Return the update of a prediction to the stamp of a measured pose."""
-    return _applied(update, predicted, measured, config)
+    """Return the update of a prediction to the stamp of a measured pose.
+
+    A rejected pose changes nothing, nor does what it says of the errors that its sensor's frames share.
+    """
+    found = _applied(update, predicted, measured, config)
+    return found if found.accepted else found._replace(state=predicted)
 
 
 def compared(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Innovation:

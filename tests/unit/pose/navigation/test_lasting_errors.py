@@ -107,6 +107,19 @@ def test_frames_that_state_one_error_differently_do_not_tell_what_it_is():
     assert np.sqrt(state.covariance[3, 3]) == pytest.approx(4e-3, rel=0.15)
 
 
+def test_a_pose_that_the_gate_rejects_says_nothing_of_the_errors_that_frames_share():
+    state = started(measured(target(0.0), FRONT), config=CONSIDERED)
+    large = replace(PARTS, of_model=diagonal(0.3, 1e-3), of_image=diagonal(0.2, 1e-3))
+    far = make_pose(translation_m=[0.1, 5.0, 6.0])
+    wrong = PoseMeasurement(SECOND_NS, far, diagonal(5e-3, 5e-3), Origin("pmd", FRONT, large))
+    predicted = predict(state, SECOND_NS, CONSIDERED)
+    found = updated(predicted, wrong, CONSIDERED)
+    assert not found.accepted
+    assert found.state is predicted
+    other = replace(wrong, origin=Origin("lidar", BESIDE, PARTS))
+    assert updated(predicted, other, CONSIDERED).state.size == predicted.size
+
+
 def test_with_inflation_nothing_is_shared_and_without_an_origin_neither():
     assert shared_errors(measured(target(0.0), FRONT), FilterConfig()).blocks == ()
     alone = replace(measured(target(0.0), FRONT), origin=None)
