@@ -19,7 +19,8 @@ from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
-from rpod_pose.navigation.integrity.monitor import Memory, Monitor
+from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.monitor import Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
@@ -96,6 +97,7 @@ class Estimator:
         self._monitor, self._memory = Monitor(config), Memory()
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
         self._passed_ns: int | None = None
+        self._is_reset = False
         self._told_ns = 0
 
     @property
@@ -186,8 +188,19 @@ class Estimator:
                 request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
             )
             self._state = replace(started, shown_ns=self._state.shown_ns)
-            self._memory = Memory()
+            self._memory, self._is_reset = Memory(), True
             self._searches.keep(())
+
+    def _begin_anew(self, stamp_ns: int) -> None:
+        """Forget what is newer than the first frame after a reset, if a clock was set back."""
+        self._is_reset = False
+        if stamp_ns >= self._state.shown_ns - round(self._config.filter.max_delay_s * NANOSECONDS):
+            return
+        self._state = replace(self._state, shown_ns=0)
+        for track in self.bodies.tracks.values() if self.bodies is not None else ():
+            track.forget()
+        if self.imu is not None:
+            self.imu.forget()
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -197,6 +210,8 @@ class Estimator:
         if arrived.sensor not in self._methods:
             return self._rejected(arrived, kind_methods(self._sensors[arrived.sensor]).missing)
         before, measurement = self._state.mode, arrived.measurement
+        if self._is_reset:
+            self._begin_anew(measurement.stamp_ns)
         if known := self._known.get(arrived.sensor):
             try:
                 left = known.of_target(measurement.data, measurement.stamp_ns, measurement.T_chaser_sensor)

@@ -26,7 +26,8 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.integrity.levels import declared_covariance
-from rpod_pose.navigation.integrity.monitor import Memory, Monitor
+from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.monitor import Monitor
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods

@@ -67,11 +67,15 @@ class History:
         """Return the index after the last step up to a stamp, equal stamps included."""
         return bisect_right(self.steps, stamp_ns, key=lambda step: step.measurement.stamp_ns)
 
-    def applied_at(self, stamp_ns: int) -> Step | None:
-        """Return the step with the newest measurement of a stamp; None if there is none."""
-        place = self.place(stamp_ns)
-        step = self.steps[place - 1] if place else None
-        return step if step and step.measurement.stamp_ns == stamp_ns else None
+    def applied_at(self, stamp_ns: int, sensor: str) -> Step | None:
+        """Return the step with the newest measurement by a sensor at a stamp; None if there is none."""
+        for step in reversed(self.steps[: self.place(stamp_ns)]):
+            measured = step.measurement
+            if measured.stamp_ns != stamp_ns:
+                break
+            if measured.origin is None or measured.origin.sensor == sensor:
+                return step
+        return None
 
     def pruned(self, config: FilterConfig) -> "History":
         """Return this history without the steps that are too old for any late measurement."""

@@ -83,6 +83,11 @@ class FrameTrack:
             del self._stamps_ns[:first], self._poses[:first]
         return True
 
+    def forget(self) -> None:
+        """Forget all readings, as after a clock was set back."""
+        self._stamps_ns.clear()
+        self._poses.clear()
+
     def covers(self, stamp_ns: int) -> bool:
         """Return whether all readings up to a stamp are there, if they go on as before."""
         if len(self._stamps_ns) < 2:

@@ -39,7 +39,8 @@ errors is larger."""
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 """A ray and those around it. Physics: 3 x 3."""
 AHEAD = 0.02
-"""Cosine to the boresight below which a ray is not ahead, so that its slope tells no direction. Numerics."""
+"""Cosine to the boresight below which a ray is not ahead, and its slope tells no direction. Numerics: a slope
+of 50."""
 
 
 class Label(IntEnum):

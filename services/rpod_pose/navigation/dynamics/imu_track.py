@@ -92,6 +92,10 @@ class ImuTrack:
         newest_ns = self._sums[-1].stamp_ns
         return 2 * newest_ns - self._sums[-2].stamp_ns > stamp_ns
 
+    def forget(self) -> None:
+        """Forget all readings, as after a clock was set back. The bias begins anew, too."""
+        self._sums.clear()
+
     def take(self, reading: ImuReading) -> bool:
         """Add a reading; return whether it is newer than all before, otherwise it is not used."""
         last = self._sums[-1] if self._sums else None

@@ -17,6 +17,7 @@ from rpod_pose.navigation.filter import POSE, POSITION, FilterState
 from rpod_pose.navigation.integrity.levels import Solution
 from rpod_pose.navigation.integrity.residuals import Statistic
 from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 
 WRONG_MODEL = "; the target's model or the pose is wrong: check the target, and its tolerance_m"
@@ -95,14 +96,16 @@ class Inside:
             tests.append(Statistic(text, length_m**2 / variance, 1, WRONG_SIZE))
         return tests
 
-    def solutions(self, estimate: FilterState, share: float, range_share: float) -> list[Solution]:
+    def solutions(
+        self, estimate: FilterState, place_m: FloatArray, share: float, range_share: float
+    ) -> list[Solution]:
         """Return the solutions by parts of the data, along the line of sight to the target.
 
+        The target is at ``place_m`` as seen from the sensor, chaser axes, shape (3,).
         A part that is wrong, of which ``share`` is the prior probability, is off by any length up to
         ``SPREAD`` of the range; a right one by its own error. Where both agree, a wrong part is improbable by
         Bayes's rule, as it would agree by chance.
         """
-        place_m = estimate.T_chaser_target.translation
         range_m = max(float(np.linalg.norm(place_m)), 1e-6)
         along = place_m / range_m
         solutions = []

@@ -11,7 +11,7 @@ standard deviation that is declared for it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -19,7 +19,6 @@ import numpy as np
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
-from rpod_pose.navigation.integrity.inside import Inside
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
@@ -27,8 +26,9 @@ from rpod_pose.navigation.integrity.levels import (
     protection_levels,
     solution,
 )
+from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.refused import refused_solutions
-from rpod_pose.navigation.integrity.residuals import Residual, Statistic, recent, residual_of, residual_tests
+from rpod_pose.navigation.integrity.residuals import Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
 from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
@@ -49,27 +49,6 @@ SIZE_BELIEVED = (
 """Text on what levels leave out where a camera's distances are not good enough for the alert limits."""
 SIZE_DECLARED = "sizes up to 2 % off are not told apart, and are covered as far as scale_tolerance says"
 """Text on what levels leave out where sizes that no frame excludes are not good enough for the limits."""
-
-
-@dataclass(frozen=True, eq=False)
-class Memory:
-    """State of the monitor between two frames."""
-
-    residuals: Mapping[str, tuple[Residual, ...]] = field(default_factory=dict)
-    """Residuals of each sensor in the window."""
-    without: Mapping[str, FilterState] = field(default_factory=dict)
-    """Filters without one of several sensors, by that sensor's name."""
-    anchors: tuple[FilterState, ...] = ()
-    """The estimate as it was up to a window before, oldest first."""
-    contradicted_ns: int | None = None
-    """Newest stamp at which the estimate contradicted its past."""
-    contradiction: str = ""
-    sensor: str = ""
-    """Sensor whose measurement was accepted last."""
-    frozen_ns: Mapping[str, int] = field(default_factory=dict)
-    """Stamp of the newest frame of each sensor that sends identical frames."""
-    inside: Inside = field(default_factory=Inside)
-    """Tests of the sensors' frames for errors inside them."""
 
 
 class Monitor:
@@ -130,10 +109,13 @@ class Monitor:
             memory = replace(memory, sensor=status.sensor, inside=inside)
         step = None
         if state.history is not None and np.isfinite(status.nis):
-            step = state.history.applied_at(status.stamp_ns)
+            step = state.history.applied_at(status.stamp_ns, status.sensor)
         if step is None:
             return memory
         predicted, measured = step.predicted, step.measurement
+        if measured.origin is not None:
+            mount = measured.origin.T_chaser_sensor
+            memory = replace(memory, mounts={**memory.mounts, status.sensor: mount})
         residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
         if residual is not None:
             found = (*memory.residuals.get(status.sensor, ()), residual)
@@ -193,7 +175,7 @@ class Monitor:
             )
             tests += found
             evidence |= numbers
-        range_m = float(np.linalg.norm(estimate.T_chaser_target.translation))
+        range_m = float(np.linalg.norm(memory.place_m(estimate)))
         tests += memory.inside.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
         for one, other in combinations(sorted(memory.without), 2):
             there = [
@@ -254,13 +236,13 @@ class Monitor:
             estimate, self._config.risk, share, self._tuning.correlated_s
         )
         solutions += other_sizes
-        place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
+        place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
         unseen = declared_covariance(self._config, place_m, *moving)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
             return protection_levels(chosen, unseen, self._config.risk)
 
-        parts = memory.inside.solutions(estimate, share, self._tuning.range_share)
+        parts = memory.inside.solutions(estimate, place_m, share, self._tuning.range_share)
         less = ""
         for part in parts:
             if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):

@@ -57,12 +57,17 @@ Streams = Mapping[str, Stream]
 
 
 def heard(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
-    """Return the streams after a frame has arrived."""
+    """Return the streams after a frame has arrived.
+
+    One long gap is a pause, not a new rate: the period at most doubles from one frame to the next.
+    """
     stream = streams.get(sensor, Stream())
     before_ns = stream.heard_ns
     if before_ns is not None and stamp_ns <= before_ns:
         return streams
     period_ns = None if before_ns is None else stamp_ns - before_ns
+    if period_ns is not None and stream.period_ns is not None:
+        period_ns = min(period_ns, 2 * stream.period_ns)
     return {**streams, sensor: replace(stream, heard_ns=stamp_ns, period_ns=period_ns)}
 
 

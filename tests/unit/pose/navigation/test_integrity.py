@@ -25,7 +25,7 @@ from rpod_pose.navigation.integrity.monitor import (
 )
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
-from rpod_pose.navigation.pose_measurement import PoseMeasurement
+from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -384,7 +384,7 @@ def test_sizes_of_frames_within_a_second_count_as_one():
 def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
     told = inside(by_part=PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), 0.007))
-    (test,), (solution,) = told.tests(6.0, 0.0), told.solutions(estimate, 1e-4, 0.0)
+    (test,), (solution,) = told.tests(6.0, 0.0), told.solutions(estimate, truth(0.0).translation, 1e-4, 0.0)
     assert test.exceeds_risk(1e-6) == fails
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
@@ -436,3 +436,24 @@ def test_declared_errors_of_mount_clock_and_ranges_widen_the_levels():
     ):
         wider = levels_of(alone, NOTHING_UNSEEN.model_copy(update=declared), *how)
         assert wider.position_m > without.position_m
+
+
+def test_levels_count_from_the_sensor_and_not_from_the_chasers_origin():
+    estimate = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
+    place_m = estimate.T_chaser_target.translation
+    assert Memory().place_m(estimate) == pytest.approx(place_m)
+    mounts = {"pmd": make_pose(translation_m=[0.0, 0.0, -3.0]), "lidar": make_pose(translation_m=[1.0, 0, 0])}
+    assert Memory(mounts=mounts).place_m(estimate) == pytest.approx(place_m + np.array([0.0, 0.0, 3.0]))
+
+
+def test_a_mount_is_known_from_a_measurement_of_its_sensor(track):
+    follow(track, PMD_S[:5])
+    mount = make_pose(translation_m=[0.0, 0.0, -2.0])
+    stamp_ns = START_NS + SECOND_NS
+    measured = PoseMeasurement(stamp_ns, truth(1.0), COVARIANCE, Origin("pmd", mount))
+    grown, nis, accepted = apply(track.state.history, measured, CONFIG)
+    track.state = replace(track.state, history=grown)
+    track.judge(stamp_ns, sensor="lidar", nis=nis, accepted=accepted)
+    assert "lidar" not in track.memory.residuals, "the measurement at this stamp is the camera's"
+    track.judge(stamp_ns, sensor="pmd", nis=nis, accepted=accepted)
+    assert track.memory.mounts == {"pmd": mount}

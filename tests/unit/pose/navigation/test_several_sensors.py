@@ -9,6 +9,7 @@ from navigator_rig import MOUNT, SECOND_NS, START_S, Method, View, blind, good, 
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.sensors.mounts import mount_offsets
+from rpod_pose.navigation.sensors.streams import heard, supported
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, NavigatorConfig, PmdInput
@@ -214,3 +215,16 @@ def test_a_camera_that_finds_nothing_searches_once_a_second_only_and_does_not_ke
         assert ("acquire" in desk.asked["pmd"].asked) != output.status.reason.startswith("not searched: ")
     assert searches == 3
     assert desk.see("lidar", good(START_S + 2.95)).status.mode == Mode.VERIFYING
+
+
+def test_one_long_gap_is_a_pause_and_not_the_rate_of_a_sensor():
+    streams = {}
+    for stamp_s in (0.0, 0.1, 0.2, 10.2):
+        streams = heard(streams, "pmd", round(stamp_s * SECOND_NS))
+    streams = supported(streams, "pmd", round(10.2 * SECOND_NS))
+    later_ns = round(12.0 * SECOND_NS)
+    assert streams["pmd"].is_silent(later_ns, 0.3)
+    assert not streams["pmd"].supports(later_ns, 0.3)
+    for stamp_s in np.arange(11.2, 19.0, 1.0):
+        streams = heard(streams, "pmd", round(stamp_s * SECOND_NS))
+    assert streams["pmd"].period_ns == SECOND_NS, "a slower rate is known after some frames"
