@@ -4,6 +4,7 @@ The model is rendered on every few pixels only, exactly along the rays of those 
 which model points are hidden and whether a pose explains an image.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -33,6 +34,11 @@ eighth of the image is the blur of an edge; octaves hold any width within a fact
 STRAY_STRIDE = 4
 """Distance of the pixels from which stray light is estimated. Numerics: the least part of an image has
 hundreds of pixels, and their mean changes little over four."""
+FOR_PLANE = 6
+"""Least number of pixels from which a plane is taken off. Numerics: a plane has three numbers, and as many
+are left."""
+MEDIAN_OVER_MEAN = 1.25
+"""Standard deviation of the median of normal errors over that of their mean. Physics: sqrt(pi / 2)."""
 
 
 @dataclass(frozen=True)
@@ -260,3 +266,75 @@ def downsampled(depth: Float32Array, stride: int, offset: int) -> Float32Array:
             if 2 * valid.size > block.size:
                 coarse[i, j] = np.median(valid)
     return coarse
+
+
+@kernel
+def variance_about_plane(pixels: FloatArray, count: int, steepest: float) -> float:
+    """Return the variance of one pixel's depth, m2, without the slope of a plane.
+
+    Args:
+        pixels: column, row and depth of each pixel, shape (N, 3), px and m.
+        count: number of these that are used, the first ones.
+        steepest: greatest change of depth of a face from one pixel to the next, m.
+    """
+    if count < 2:
+        return 0.0
+    uu, uv, vv, uz, vz, zz = _central_moments(pixels, count)
+    determinant = uu * vv - uv**2
+    if count < FOR_PLANE or determinant <= 0.0:
+        return max(zz, 0.0) / (count - 1)
+    across, down = (vv * uz - uv * vz) / determinant, (uu * vz - uv * uz) / determinant
+    share = steepest / max(math.hypot(across, down), steepest)
+    across, down = share * across, share * down
+    left = zz - 2.0 * (across * uz + down * vz) + across**2 * uu + 2.0 * across * down * uv + down**2 * vv
+    return max(left, 0.0) / (count - 3)
+
+
+@kernel
+def _central_moments(pixels: FloatArray, count: int) -> tuple[float, float, float, float, float, float]:
+    """Return the sums of uu, uv, vv, uz, vz and zz about the means; arguments as for the variance."""
+    u_mean, v_mean, z_mean = 0.0, 0.0, 0.0
+    for n in range(count):
+        u_mean += pixels[n, 0] / count
+        v_mean += pixels[n, 1] / count
+        z_mean += pixels[n, 2] / count
+    uu, uv, vv, uz, vz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for n in range(count):
+        u, v, z = pixels[n, 0] - u_mean, pixels[n, 1] - v_mean, pixels[n, 2] - z_mean
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        uz += u * z
+        vz += v * z
+        zz += z * z
+    return uu, uv, vv, uz, vz, zz
+
+
+@kernel
+def noise_of_medians(
+    depth: Float32Array, stride: int, offset: int, shape: tuple[int, int], steepest: float
+) -> Float32Array:
+    """Return the standard deviation of the medians of ``depth_view.downsampled``, m; 0 without depth.
+
+    Args:
+        depth: as for ``downsampled``, shape (height, width), m.
+        stride: as for ``downsampled``.
+        offset: as for ``downsampled``.
+        shape: rows and columns that ``downsampled`` returned.
+        steepest: greatest change of a face's depth from one pixel to the next, over the depth.
+    """
+    sigma = np.zeros(shape, np.float32)
+    height, width = depth.shape
+    block = np.empty((9, 3))
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            row, column, count = offset + i * stride, offset + j * stride, 0
+            for m in range(max(row - 1, 0), min(row + 2, height)):
+                for n in range(max(column - 1, 0), min(column + 2, width)):
+                    if np.isfinite(depth[m, n]):
+                        block[count, 0], block[count, 1], block[count, 2] = n, m, depth[m, n]
+                        count += 1
+            if count > 1:
+                variance = variance_about_plane(block, count, steepest * block[:count, 2].mean())
+                sigma[i, j] = MEDIAN_OVER_MEAN * np.sqrt(variance / count)
+    return sigma

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from rpod_geometry.errors import DistortionError
-from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.depth_view import DepthView, downsampled, stray_light
+from rpod_pose.pmd.depth_view import DepthView, downsampled, noise_of_medians, stray_light
 from rpod_pose.search.energy import CELLS, Image
+from rpod_pose.surroundings.places import SLANTED
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdSceneConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
@@ -38,8 +38,6 @@ noise."""
 WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
 """Smallest shape of a glint, and the shape within which a glint changes medians. Physics: medians of 3 x 3
 pixels wipe what is smaller, and reach as far."""
-MEDIAN_OVER_MEAN = 1.25
-"""Standard deviation of the median of normal errors over that of their mean. Physics: sqrt(pi / 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +188,8 @@ def _strided(
         lit |= saturated & (range_m == 0.0)
     range_m = np.where(nearby, range_m, np.float32(0.0))
     points_m = np.ascontiguousarray((rays * range_m)[:, nearby].T)
-    sigma_m = noise_sigma(shown_m, view.stride, view.offset, depth_m.shape)
+    sigma_m = noise_of_medians(shown_m, view.stride, view.offset, depth_m.shape, SLANTED / frame.camera.fx)
+    sigma_m /= rays[2].astype(np.float32)
     hidden = np.zeros(lit.shape, bool)
     if frame.hidden is not None:
         hidden = (cv2.dilate(frame.hidden.astype(np.uint8), TOUCHED) > 0)[every]
@@ -290,32 +289,3 @@ def _around(rays: FloatArray, range_m: Float32Array, radius_m: float) -> NDArray
     kept = np.zeros(range_m.shape, bool)
     kept[measured] = near
     return kept
-
-
-@kernel
-def noise_sigma(depth: Float32Array, stride: int, offset: int, shape: tuple[int, int]) -> Float32Array:
-    """Return the standard deviation of the medians of ``depth_view.downsampled``, m; 0 without depth.
-
-    Args:
-        depth: as for ``downsampled``, shape (height, width), m.
-        stride: as for ``downsampled``.
-        offset: as for ``downsampled``.
-        shape: rows and columns that ``downsampled`` returned.
-    """
-    sigma = np.zeros(shape, np.float32)
-    height, width = depth.shape
-    for i in range(shape[0]):
-        for j in range(shape[1]):
-            row, column = offset + i * stride, offset + j * stride
-            count, total, squares, first = 0, 0.0, 0.0, depth[row, column]
-            for m in range(max(row - 1, 0), min(row + 2, height)):
-                for n in range(max(column - 1, 0), min(column + 2, width)):
-                    if np.isfinite(depth[m, n]):
-                        first = depth[m, n] if count == 0 else first
-                        count += 1
-                        total += depth[m, n] - first
-                        squares += (depth[m, n] - first) ** 2
-            if count > 1:
-                variance = (squares - total * total / count) / (count - 1)
-                sigma[i, j] = MEDIAN_OVER_MEAN * np.sqrt(max(variance, 0.0) / count)
-    return sigma

@@ -42,7 +42,7 @@ from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
-from rpod_pose.pmd.joint.expected_edges import moved_px
+from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.ports import Acquisition, ComparingTracker, Outcome, Registration, WholeFrameTracker
 from rpod_pose.registration.lie_group import PoseArrays
@@ -373,7 +373,8 @@ class ViewSearch:
             if after is None or not self._preferred(frame, again, found):
                 break
             found = again
-            moved = moved_px(PoseArrays.of(before), PoseArrays.of(after), radius_m, frame.camera.fx)
+            px_per_m = frame.camera.fx / max(after.translation[2], NEAREST_M)
+            moved = moved_px(PoseArrays.of(before), PoseArrays.of(after), radius_m, px_per_m)
             if moved < tuning.settled_px:
                 break
         return found

@@ -101,10 +101,10 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     All pixels have the same weight in this fit. Pixels that one blur covers share their errors: the sum is
     divided by the area 4 pi blur^2 of its autocorrelation. Arguments as for ``fitted``.
     """
-    if not mixture.pixel.size:
-        return 0.0
-    by_file = filed(mixture, clip=clip, blur_px=blur_px)
-    rendered = _fitted(patch, mixture, by_file, clip, blur_px, alone=False)
+    rendered = np.zeros((mixture.window.rows, mixture.window.columns), np.float32)
+    if mixture.pixel.size:
+        by_file = filed(mixture, clip=clip, blur_px=blur_px)
+        rendered = _fitted(patch, mixture, by_file, clip, blur_px, alone=False)
     return 0.5 * squares_of(patch, rendered, mixture.window) / (4.0 * np.pi * blur_px**2)
 
 

@@ -300,14 +300,6 @@ def add_in_place(in_place: FloatArray, share: float, is_found: bool) -> None:
         in_place[0] += weight
 
 
-@kernel
-def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, focal_px: float) -> float:
-    """Return how far a target of a given radius moves in the image from one pose to another, px at most."""
-    turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
-    shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
-    return float(focal_px * (shifted_m + turned * radius_m) / max(pose.t[2], NEAREST_M))
-
-
 class Sights:
     """The edges that the image of one frame should show, at the poses that were asked for.
 
@@ -324,7 +316,7 @@ class Sights:
     def at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at a pose, by the nearest known rendering if it is near enough."""
         frame, radius_m = self._frame, self._renderer.radius_m
-        moved = [moved_px(each.expected.pose, pose, radius_m, frame.lens.fx) for each in self._known]
+        moved = [frame.moved_px(each.expected.pose, pose, radius_m) for each in self._known]
         if moved and min(moved) < STILL_PX:
             return self._known[int(np.argmin(moved))]
         shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch)

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import cv2
 import numpy as np
@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays
-from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, stray_light
+from rpod_pose.pmd.depth_view import DepthView, stray_light
 from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
+from rpod_pose.pmd.joint.depth_points import DepthImages, coarse_ranges
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
-from rpod_schemas.arrays import Array, FloatArray
+from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.surroundings.places import SLANTED
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
-from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, PmdFrame
 
 MARGIN_PX = 16
 """Margin around the projection of the target's bounding sphere. Hand: it holds the error of a prediction and
@@ -35,6 +38,8 @@ FINE_PX, FINE_RAYS = 70_000, 2
 """Number of pixels of the patch up to which the rendering has several rays for each, and their number along
 rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; beyond, a pixel is small on the
 target."""
+_STEEPEST_RAD = np.radians(89.0)
+"""Greatest angle of a ray from the boresight. Numerics: its tangent is finite."""
 MIN_PATCH = 3
 """Least number of rows and columns in which edges are searched. Numerics: the smoothing and the search need
 neighbours."""
@@ -54,14 +59,6 @@ _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
 """Patch of a frame without amplitude: in it no edge is found."""
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
-OUTER = 4
-"""Divisor of the trim: one over it of the sorted ranges is left out at each end, the others are averaged.
-Hand: two of nine outliers do no harm at either end."""
-MIDDLE_OVER_MEAN = 1.06
-"""Standard deviation of the trimmed mean over that of the mean of all. Physics: normal errors; 1.07 for nine,
-and 1 for three, of which none is left out."""
-FEWEST = 3
-"""Least number of valid depths among nine. Hand: fewer are found on outlines and ghosts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +125,10 @@ class JointFrame:
         view = DepthView.of(frame.camera, stride)
         amplitude = _even(frame.depth_m.shape) if frame.amplitude is None else frame.amplitude
         least, pixels = stray_light(frame, tuning.ghost_share), CoarsePixels(view.stride, view.offset)
+        steepest = SLANTED / frame.camera.fx
         images = DepthImages(frame.depth_m, amplitude, least)
-        range_m, sigma_m, strengths, shade = coarse_ranges(images, view.coarse.components[2], pixels)
+        rays_z = view.coarse.components[2]
+        range_m, sigma_m, strengths, shade = coarse_ranges(images, rays_z, pixels, steepest)
         range_m[sigma_m > tuning.check.most_noise_m] = np.nan
         measured = _measured(range_m, tuning.depth.points)
         rays = view.coarse.components.reshape(3, -1)[:, measured]
@@ -176,6 +175,10 @@ class JointFrame:
         """The camera, as the kernels take it."""
         camera = self.view.camera
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
+
+    def moved_px(self, before: PoseArrays, pose: PoseArrays, radius_m: float) -> float:
+        """Return how far a target of a radius moves in this image from one pose to another, px at most."""
+        return moved_px(before, pose, radius_m, self.view.camera.fx / max(pose.t[2], self.away_m))
 
     @property
     def pixels(self) -> CoarsePixels:
@@ -230,6 +233,14 @@ def _unknown_shade(frame: PmdFrame, view: DepthView) -> NDArray[np.bool_]:
     return _widened(frame.saturated, 1)[coarse, coarse]
 
 
+@kernel
+def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, px_per_m: float) -> float:
+    """Return how far a target of a given radius moves in the image from one pose to another, px at most."""
+    turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
+    shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
+    return float(px_per_m * (shifted_m + turned * radius_m))
+
+
 def _rays_of(patch: Patch, view: DepthView, per_px: int) -> GridArrays:
     """Return the rays of a patch's pixels, ``per_px`` of each along rows and columns."""
     starts = zip((int(patch.row), int(patch.column)), patch.image.shape, strict=True)
@@ -255,28 +266,32 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
     """Return the rows and columns around the target's bounding sphere; all if the target is close."""
     if t[2] <= 2.0 * radius_m:
         return slice(0, camera.height), slice(0, camera.width)
-    radius = radius_m / (t[2] - radius_m)
-    if camera.coefficients[LENS_COEFFICIENTS - 3 :].any():
-        return _around_in_wide_view(camera, t[:2] / t[2], radius)
-    column, row = camera.fx * t[0] / t[2] + camera.cx, camera.fy * t[1] / t[2] + camera.cy
-    across, down = camera.fx * radius + MARGIN_PX, camera.fy * radius + MARGIN_PX
-    return _between(row - down, row + down, camera.height), _between(
-        column - across, column + across, camera.width
-    )
+    # The sphere as it is seen along an axis, and at least as large as one on the boresight.
+    angle_rad = np.arctan2(t[:2], t[2])
+    half_rad = np.arcsin(radius_m / np.hypot(t[:2], t[2]))
+    middle, radius = t[:2] / t[2], radius_m / (t[2] - radius_m)
+    lower = np.minimum(np.tan(np.maximum(angle_rad - half_rad, -_STEEPEST_RAD)), middle - radius)
+    upper = np.maximum(np.tan(np.minimum(angle_rad + half_rad, _STEEPEST_RAD)), middle + radius)
+    if camera.coefficients.any():
+        return _around_in_lens(camera, lower, upper)
+    focal, centre = np.array((camera.fx, camera.fy)), np.array((camera.cx, camera.cy))
+    first, last = focal * lower + centre - MARGIN_PX, focal * upper + centre + MARGIN_PX
+    return _between(first[1], last[1], camera.height), _between(first[0], last[0], camera.width)
 
 
-def _around_in_wide_view(camera: Camera, middle: FloatArray, radius: float) -> _Window:
-    """Return the window of the pixels whose slopes differ from the middle's by at most the radius.
+def _around_in_lens(camera: Camera, lower: FloatArray, upper: FloatArray) -> _Window:
+    """Return the window of the pixels whose slopes, x/z and y/z, lie within limits, shape (2,) each.
 
     Raises:
         DistortionError: the lens distortion cannot be inverted.
     """
-    away: FloatArray = np.abs(DepthView.of(camera, STRIDES_PX[0]).slopes - middle)
-    near: NDArray[np.bool_] = np.all(away <= radius, axis=-1)
-    lines = (np.flatnonzero(near.any(axis=axis)) for axis in (1, 0))
-    sizes = (camera.height, camera.width)
+    view = DepthView.of(camera, STRIDES_PX[-1])
+    slopes = view.slopes[view.offset :: view.stride, view.offset :: view.stride]
+    near: NDArray[np.bool_] = np.all((lower <= slopes) & (slopes <= upper), axis=-1)
+    lines = (view.offset + view.stride * np.flatnonzero(near.any(axis=axis)) for axis in (1, 0))
+    margin, sizes = MARGIN_PX + view.stride, (camera.height, camera.width)
     rows, columns = (
-        _between(line[0] - MARGIN_PX, line[-1] + MARGIN_PX, size) if line.size else slice(0, 0)
+        _between(line[0] - margin, line[-1] + margin, size) if line.size else slice(0, 0)
         for line, size in zip(lines, sizes, strict=True)
     )
     return rows, columns
@@ -324,76 +339,3 @@ def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
     """Return the pixels at most ``by_px`` rows and columns from one of a mask, same shape."""
     side = 2 * by_px + 1
     return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-
-
-class DepthImages(NamedTuple):
-    """The images of a frame, as the kernel takes them."""
-
-    depth_m: Float32Array
-    """z-depth, shape (height, width); NaN or 0 without one."""
-    amplitude: Array
-    """Amplitude, same shape."""
-    least: Float32Array
-    """Least amplitude of a pixel whose depth counts, same shape."""
-
-
-class CoarseRanges(NamedTuple):
-    """Measurements of the coarse pixels with their eight neighbours; each array is (rows, columns)."""
-
-    range_m: FloatArray
-    """Trimmed mean range of the nine; NaN if fewer than ``FEWEST`` have depth or the pixel is too dark."""
-    sigma_m: FloatArray
-    """Standard deviation of that range, from the scatter of the nine."""
-    strength: FloatArray
-    """Amplitude of the pixel itself if it has a range, otherwise 0."""
-    shade: FloatArray
-    """Mean amplitude of the nine."""
-
-
-@kernel
-def coarse_ranges(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels) -> CoarseRanges:
-    """Return the measurements of every ``stride``-th pixel with its neighbours.
-
-    The nine ranges are sorted, a quarter is left out at each end, and the others are averaged, so that a
-    mixed pixel at an outline does not shift the result. The noise is the standard deviation of that mean.
-
-    Args:
-        images: images of the frame.
-        rays_z: z component of the coarse pixels' unit rays, shape (rows, columns).
-        pixels: positions of the coarse pixels; all lie in the image.
-    """
-    depth, amplitude, least = images
-    height, width = depth.shape
-    ranges, sigmas = np.full(rays_z.shape, np.nan), np.zeros(rays_z.shape)
-    strengths, shades = np.zeros(rays_z.shape), np.zeros(rays_z.shape)
-    nine = np.empty(9)
-    for i in range(rays_z.shape[0]):
-        for j in range(rays_z.shape[1]):
-            row, column = pixels.offset + i * pixels.stride, pixels.offset + j * pixels.stride
-            if row >= height or column >= width:
-                continue
-            count, seen, light, total, squares = 0, 0, 0.0, 0.0, 0.0
-            for v in range(max(row - 1, 0), min(row + 2, height)):
-                for u in range(max(column - 1, 0), min(column + 2, width)):
-                    seen += 1
-                    light += amplitude[v, u]
-                    z = np.float64(depth[v, u])
-                    if not NEAREST_M < z < FARTHEST_M or amplitude[v, u] < least[v, u]:
-                        continue
-                    k = count
-                    while k > 0 and nine[k - 1] > z:
-                        nine[k] = nine[k - 1]
-                        k -= 1
-                    nine[k] = z
-                    count += 1
-                    total += z
-                    squares += z * z
-            shades[i, j] = light / seen
-            if count >= FEWEST and amplitude[row, column] >= least[row, column]:
-                outer = count // OUTER
-                middle = nine[outer : count - outer].mean()
-                variance = max(squares - total * total / count, 0.0) / (count - 1)
-                ranges[i, j] = middle / rays_z[i, j]
-                sigmas[i, j] = MIDDLE_OVER_MEAN * math.sqrt(variance / count)
-                strengths[i, j] = amplitude[row, column]
-    return CoarseRanges(ranges, sigmas, strengths, shades)

@@ -37,7 +37,7 @@ from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belie
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, Sights, moved_px
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, Sights
 from rpod_pose.pmd.joint.fit import (
     DepthErrors,
     EdgeErrors,
@@ -156,9 +156,10 @@ class JointTracker:
             if believed := [each for each in tried if each.found.continues_track]:
                 best = max(believed, key=lambda each: each.found.begins_track)
                 return self._likeliest(seen, sights, pose, best)
-        return max(
-            (each.found for each in tried), key=lambda each: each.explained_share, default=self._nothing
-        )
+        posed = [each.found for each in tried if each.found.T_sensor_target is not None]
+        if not posed:
+            return tried[0].found if tried else self._nothing
+        return max(posed, key=lambda each: each.explained_share)
 
     def log_likelihoods(
         self, measurement: PmdFrame, found: Sequence[Registration], *, ranked_only: bool = False
@@ -187,7 +188,7 @@ class JointTracker:
         focal_px, radius_m, pose = seen.lens.fx, self._target.radius_m, aligned.fit.state.pose
         deviations = np.sqrt(np.diag(found.covariance).reshape(2, 3).sum(axis=1))
         sigma_px = focal_px / seen.away_m * float(deviations @ (1.0, radius_m))
-        if moved_px(predicted, pose, radius_m, focal_px) < max(CERTAIN_PX, CERTAIN_SIGMAS * sigma_px):
+        if seen.moved_px(predicted, pose, radius_m) < max(CERTAIN_PX, CERTAIN_SIGMAS * sigma_px):
             return found
         schedule = np.maximum(self._near, (self._least_scale_m(seen), 0.0))
         errors = self._edge_errors._replace(merged=aligned.last.edge_errors.merged)
@@ -232,7 +233,7 @@ class JointTracker:
 
     def _along_sight(self, seen: JointFrame, state: State) -> list[State]:
         """Return poses along the sight, a reach of the search for edges from one another in the image."""
-        t, away_m = state.pose.t, max(float(state.pose.t[2]), NEAREST_M)
+        t, away_m = state.pose.t, max(float(state.pose.t[2]), seen.away_m)
         range_m = max(hypot(*t), NEAREST_M)
         px_per_m = seen.view.camera.fx * self._target.radius_m / away_m / range_m
         step_m = self._tuning.edges.final_search_px / px_per_m if 0.0 < px_per_m < inf else inf
@@ -250,11 +251,11 @@ class JointTracker:
             return found
         apart = found.last._replace(edge_errors=found.last.edge_errors._replace(merged=False))
         poses = found.fit.state.pose, align(apart, found.fit.state).state.pose
-        if moved_px(*poses, self._target.radius_m, seen.lens.fx) < LEADS_PX:
+        if seen.moved_px(*poses, self._target.radius_m) < LEADS_PX:
             return found
         other = self._aligned_by(seen, sights, state, schedule, self._edge_errors._replace(merged=False))
         poses = found.fit.state.pose, other.fit.state.pose
-        if moved_px(*poses, self._target.radius_m, seen.lens.fx) < SAME_PX:
+        if seen.moved_px(*poses, self._target.radius_m) < SAME_PX:
             return found
         loss, least = (self._loss(seen, each.fit.state, each.last) for each in (other, found))
         more = loss - least
@@ -348,7 +349,7 @@ class JointTracker:
     def _uncertainty(self, seen: JointFrame, sights: Sights, aligned: Aligned) -> Uncertainty:
         """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
         fit, last = aligned.fit, aligned.last
-        moved = moved_px(last.sight.expected.pose, fit.state.pose, self._target.radius_m, seen.lens.fx)
+        moved = seen.moved_px(last.sight.expected.pose, fit.state.pose, self._target.radius_m)
         sight = last.sight if moved < CERTAIN_PX else sights.at(fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)

@@ -23,8 +23,8 @@ from rpod_pose.pmd.joint.alternatives import (
 )
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
-from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges, moved_px
-from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
+from rpod_pose.pmd.joint.frame import JointFrame, moved_px
 from rpod_pose.ports import Registration
 from rpod_pose.registration.brightness import faces_of, surfaces_of
 from rpod_pose.registration.gauss_newton import State
@@ -178,7 +178,7 @@ def test_starts_lie_around_the_likeliest_pose_so_far_and_end_when_none_is_better
     assert len(started) == 2 + PATIENCE
     np.testing.assert_array_equal(best.fit.state.pose.R, started[1].R)
     near, far = (
-        [moved_px(pose, each, MOCKUP.radius_m, 1.0 / 0.005) * pose.t[2] for each in started[some]]
+        [moved_px(pose, each, MOCKUP.radius_m, 1.0 / 0.005) for each in started[some]]
         for pose, some in ((first.fit.state.pose, slice(2)), (started[1], slice(2, None)))
     )
     assert max(near + far) < 3.0 * START_PX

@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
+from rpod_pose.pmd.depth_view import DepthView, noise_of_medians
+from rpod_pose.pmd.joint.depth_points import DepthImages, Planes, add_depth_points, coarse_ranges
+from rpod_pose.pmd.joint.edge_search import CoarsePixels
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.registration.distance_field import FieldArrays, field_arrays
 from rpod_pose.registration.field_alignment import Points
@@ -19,7 +21,7 @@ from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import Camera, PmdFrame
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import DistanceField, Target, load_target
 
@@ -99,3 +101,37 @@ def test_a_plane_counts_unless_it_is_farther_than_the_field_says_by_more_than_a_
     # a field that is level tells no direction, so that the point has no residual
     assert information_of(sums, 7)[0, 0] == pytest.approx(1.0 if of_plane else 0.0, abs=0.01)
     assert gradient_of(sums, 7)[0] == pytest.approx(-away_m if of_plane else 0.0, abs=2e-3)
+
+
+def sloping_depth_m(tilt_deg: float) -> np.ndarray:
+    """Return the depth of a plane at 6 m, shape (172, 224), in a camera with a wide lens."""
+    x, y = np.meshgrid((np.arange(224) - 111.5) / FX, (np.arange(172) - 85.5) / FX)
+    slope = np.tan(np.radians(tilt_deg))
+    return 6.0 / (1.0 - slope * (0.8 * x + 0.6 * y) / 2.0)
+
+
+FX = 110.0
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 45.0, 65.0])
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+def test_a_slope_is_no_noise(tilt_deg, noise_m):
+    noise = noise_m * np.random.default_rng(5).standard_normal((172, 224))
+    depth_m = (sloping_depth_m(tilt_deg) + noise).astype(np.float32)
+    view = DepthView.of(Camera(width=224, height=172, fx=FX, fy=FX, cx=111.5, cy=85.5), 3)
+    bright = np.full(depth_m.shape, 500, np.uint16)
+    images = DepthImages(depth_m, bright, np.ones(depth_m.shape, np.float32))
+    rays_z, pixels = view.coarse.components[2], CoarsePixels(3, 1)
+    ranges = coarse_ranges(images, rays_z, pixels, 4.0 / FX)
+    medians = noise_of_medians(depth_m, 3, 1, rays_z.shape, 4.0 / FX)
+    inner = (slice(1, -1), slice(1, -1))
+    of_mean, of_median = 1.06 * noise_m / 3.0, 1.25 * noise_m / 3.0
+    assert np.median((ranges.sigma_m * rays_z)[inner]) == pytest.approx(of_mean, rel=0.06, abs=5e-4)
+    assert np.median(medians[inner]) == pytest.approx(of_median, rel=0.06, abs=5e-4)
+
+
+def test_an_outline_is_noise_since_no_face_is_so_steep():
+    depth_m = np.where(np.arange(30) < 15, 6.0, 6.5) * np.ones((12, 1), np.float32)
+    sigma_m = noise_of_medians(depth_m.astype(np.float32), 1, 0, (12, 30), 4.0 / 683.0)
+    assert (sigma_m[:, 14:16] > 0.08).all()
+    assert (sigma_m[:, :13] < 1e-6).all()

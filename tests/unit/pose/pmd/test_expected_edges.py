@@ -13,9 +13,9 @@ from rpod_pose.pmd.joint.expected_edges import (
     PatchRenderer,
     add_in_place,
     expect_edges,
-    moved_px,
     shown_probability,
 )
+from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.poses import make_pose
@@ -73,11 +73,11 @@ def test_the_motion_since_the_rendering_is_that_of_the_outline() -> None:
     before = PoseArrays.of(AHEAD)
     turned = make_pose(rotation=Rotation.from_rotvec((0.0, 0.0, 0.01)), translation_m=AHEAD.translation)
     shifted = make_pose(translation_m=(0.02, 0.0, 4.0))
-    assert moved_px(before, before, 1.0, LENS.fx) == pytest.approx(0.0, abs=1e-6)
-    assert moved_px(before, PoseArrays.of(turned), 1.5, LENS.fx) == pytest.approx(
+    assert moved_px(before, before, 1.0, LENS.fx / 4.0) == pytest.approx(0.0, abs=1e-6)
+    assert moved_px(before, PoseArrays.of(turned), 1.5, LENS.fx / 4.0) == pytest.approx(
         0.01 * 1.5 * LENS.fx / 4.0, rel=1e-3
     )
-    assert moved_px(before, PoseArrays.of(shifted), 0.0, LENS.fx) == pytest.approx(0.02 * LENS.fx / 4.0)
+    assert moved_px(before, PoseArrays.of(shifted), 0.0, LENS.fx / 4.0) == pytest.approx(0.02 * LENS.fx / 4.0)
 
 
 def test_edges_closer_than_a_pixel_are_one_change() -> None:

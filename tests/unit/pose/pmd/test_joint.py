@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
+from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.depth_points import CoarseRanges, DepthImages, coarse_ranges
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import CoarsePixels
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, expect_edges
@@ -23,7 +25,7 @@ from rpod_pose.pmd.joint.fit import (
     _shares,
     add_edge_points,
 )
-from rpod_pose.pmd.joint.frame import CoarseRanges, DepthImages, JointFrame, coarse_ranges
+from rpod_pose.pmd.joint.frame import JointFrame, _around
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.methods import ideal_frames
 from rpod_pose.ports import Registration
@@ -35,7 +37,7 @@ from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import PmdFrame, Source
+from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -194,9 +196,11 @@ def test_a_frame_without_amplitude_compiles_no_kernel_anew(monkeypatch: pytest.M
     """On a loaded machine an amplitude may come too late; compiling for another type then costs the track."""
     types = []
 
-    def recorded(images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels) -> CoarseRanges:
+    def recorded(
+        images: DepthImages, rays_z: FloatArray, pixels: CoarsePixels, steepest: float
+    ) -> CoarseRanges:
         types.append(typeof(images))
-        return coarse_ranges(images, rays_z, pixels)
+        return coarse_ranges(images, rays_z, pixels, steepest)
 
     monkeypatch.setattr("rpod_pose.pmd.joint.frame.coarse_ranges", recorded)
     warm, _ = ideal_frames(MOCKUP, TRUTH, None)
@@ -332,3 +336,46 @@ def test_what_the_view_does_not_show_is_uncertain() -> None:
     close = make_pose(rotation=FACING, translation_m=(0.0, 0.0, 1.15))
     roll = TRACKER.track(frame(close), close).covariance[5, 5]
     assert roll > 2.0 * TRACKER.track(FRAME, TRUTH).covariance[5, 5]
+
+
+@pytest.mark.parametrize("lens", [(), (-0.28, 0.1, 0.001, -0.001, 0.0), (0.4, 0.1, 0, 0, 0, 0.6, 0.2, 0.02)])
+@pytest.mark.parametrize("place_m", [(0.0, 0.0, 6.0), (2.9, 2.2, 6.0), (-5.0, 0.0, 10.0), (3.0, -0.5, 3.2)])
+def test_the_pixels_around_a_target_hold_all_that_it_fills(
+    lens: tuple[float, ...], place_m: tuple[float, float, float]
+) -> None:
+    camera = Camera(width=640, height=480, fx=400.0, fy=401.0, cx=322.0, cy=237.0, distortion=np.array(lens))
+    met = cast(RayGrid.pinhole(camera), MOCKUP.triangles_m, make_pose(translation_m=place_m)).triangle >= 0
+    window = _around(camera, np.array(place_m), MOCKUP.radius_m)
+    assert np.count_nonzero(met[window]) == np.count_nonzero(met) > 0
+
+
+def test_a_target_whose_origin_is_beside_the_camera_moves_as_what_is_seen_of_it() -> None:
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(seen, JointFrame)
+    beside, shifted = (PoseArrays(np.eye(3), np.array((x, 0.0, -0.5))) for x in (2.0, 2.003))
+    far = replace(seen, away_m=3.0)
+    assert far.moved_px(beside, shifted, MOCKUP.radius_m) == pytest.approx(0.001 * CAMERA.camera.fx)
+
+
+def test_a_pose_outside_the_patch_is_not_likely() -> None:
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(seen, JointFrame)
+    right, beside, outside = (
+        TRACKER._renderer.misfit(seen.rays, seen.per_px, PoseArrays.of(pose), seen.patch)
+        for pose in (
+            TRUTH,
+            *(make_pose(rotation=TRUTH.rotation, translation_m=(x, 0, 3.5)) for x in (0.4, 9)),
+        )
+    )
+    assert right < 0.2 * beside
+    assert outside > 2.0 * right
+
+
+def test_what_contradicts_a_pose_is_told_though_another_start_gave_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    contradicts = replace(TRACKER.track(_of_another_target(FRAME), TRUTH))
+    told = iter([Registration.none(Source.PMD_JOINT, "no pose"), *[contradicts] * 9])
+    monkeypatch.setattr(JointTracker, "_registered", lambda *_: next(told))
+    monkeypatch.setattr(JointTracker, "_moved_along_sight", lambda *_: None)
+    assert TRACKER.track(FRAME, off(TRUTH, 4.0, 0.05)).T_sensor_target is not None
