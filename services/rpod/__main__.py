@@ -3,7 +3,7 @@
 import faulthandler
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from pkgutil import resolve_name
 from threading import Event
@@ -81,7 +81,8 @@ def main() -> None:
 
 def _refuse(error: ConfigurationError) -> NoReturn:
     """Print one line with the wrong field and the reason; exit."""
-    print(f"rpod: {error}", file=sys.stderr)
+    told = str(error)
+    print(told if told.startswith("rpod ") else f"rpod: {told}", file=sys.stderr)
     raise typer.Exit(EXIT_USAGE)
 
 
@@ -109,6 +110,27 @@ def options(
     """Play, record and score a rendezvous: sensors, pose estimation and a logger on a message bus."""
 
 
+_EXAMPLES = {
+    "estimator": "docs/tutorials/your-camera.md",
+    "motion": "config/motion.json in the folder of any run",
+    "emulator": "config/emulator.json in the folder of any run",
+    "proxy": "services/rpod_proxy/README.md",
+}
+"""Places with a configuration of a service that has fields without a default, by its verb."""
+
+
+def _check_required(model: type[BaseModel], given: Mapping[str, Any], verb: str) -> None:
+    """Raise ``ConfigurationError`` if a service without a file lacks fields that have no default."""
+    fields = model.model_fields.items()
+    needed = [f"`{name}`" for name, field in fields if field.is_required() and name not in given]
+    if not needed:
+        return
+    *others, last = needed
+    told = f"{', '.join(others)} and {last}" if others else last
+    example = f" (example: {_EXAMPLES[verb]})" if verb in _EXAMPLES else ""
+    raise ConfigurationError(f"rpod {verb}", "", f"no configuration: give --config FILE with {told}{example}")
+
+
 def _serve(
     verb: str,
     model: type[ConfigT],
@@ -126,6 +148,8 @@ def _serve(
         return check(model, with_bus(document, bus), source=source)
 
     try:
+        if config is None:
+            _check_required(model, changes or {}, verb)
         checked = read()
     except ConfigurationError as error:
         _refuse(error)
@@ -292,7 +316,12 @@ def run(
         str, typer.Argument(help="Name or file of a scenario; see 'rpod scenarios'.")
     ] = "mockup-tumbling",
     duration: Annotated[
-        float | None, typer.Option("--duration", help="Duration in seconds of scenario time.")
+        float | None,
+        typer.Option(
+            "--duration",
+            help="Length of the run, s of scenario time; by default that of the scenario. An approach is "
+            "played faster or slower to fit.",
+        ),
     ] = None,
     speed: Annotated[str, typer.Option("--speed", help="Speed: 1 for real time, max for lockstep.")] = "1",
     seed: Annotated[int | None, typer.Option("--seed", help="Seed of all noise.")] = None,

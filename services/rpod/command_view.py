@@ -60,7 +60,7 @@ def view_log(
 def _show(opened: Log, config: ViewConfig, part: Part, stop: Event) -> None:
     target = _target(opened, config.target)
     with open_viewer(config, stop) as viewer:
-        log.info("shown in %s", viewer.where)
+        log.info("%s %s", viewer.how, viewer.where)
         refused: Counter[str] = Counter()
         view = View(
             viewer.recording,

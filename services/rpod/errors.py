@@ -62,7 +62,8 @@ def failed(verb: str, reason: Exception | str, code: int | None = None) -> int:
         reason: why it failed, in one line.
         code: exit code; by default that of a wrong configuration or that of any other failure, by the reason.
     """
-    print(f"rpod {verb}: {reason}", file=sys.stderr)
+    told = str(reason).removeprefix(f"rpod {verb}: ")  # an error of the options themselves names the verb
+    print(f"rpod {verb}: {told}", file=sys.stderr)
     if code is not None:
         return code
     return EXIT_USAGE if isinstance(reason, ConfigurationError) else EXIT_FAILURE

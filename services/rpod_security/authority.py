@@ -94,7 +94,8 @@ class Authority:
             entries = _ENTRIES.validate_json((own / _LEDGER).read_bytes())
         except OSError as error:
             raise AuthorityError(
-                f"{own} holds no authority ({error.strerror}); make one with 'rpod pki init'"
+                f"{own} holds no authority ({error.strerror}); make one with 'rpod pki init'; or name the "
+                "folder of an existing one with --pki"
             ) from error
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: the key has a passphrase
             raise AuthorityError(f"{own} cannot be read: {str(error).splitlines()[0]}") from error

@@ -33,7 +33,7 @@ def run(config: ViewConfig, *, version: str, stop: Event) -> None:
         target = _target(node, config.target)
         view = View(viewer.recording, target=target, prefix=config.prefix, reject=node.reject)
         subscriptions = _Subscriptions(node, config)
-        node.ready(f"shown in {viewer.where}")
+        node.ready(f"{viewer.how} {viewer.where}")
         next_s = time.monotonic()
         while not stop.wait(max(next_s - time.monotonic(), 0.0)):
             manager.alive()

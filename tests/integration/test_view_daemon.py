@@ -93,7 +93,7 @@ def facility(bus):
 def shown(facility, **changes):
     config = facility.config(**changes)
     with daemon(run, config) as stop:
-        facility.await_health(lambda each: each.message.startswith("shown in"))
+        facility.await_health(lambda each: each.message.startswith(("shown in", "written to")))
         yield stop
 
 

@@ -5,6 +5,11 @@ import subprocess
 import sys
 
 import pytest
+from typer.testing import CliRunner
+
+from rpod.__main__ import app
+from rpod.errors import failed
+from rpod_schemas.errors import ConfigurationError
 
 SCRIPT = """
 import sys
@@ -28,6 +33,28 @@ def test_a_file_that_is_not_there_is_told_before_anything_slow_is_imported(verb,
     )
     assert done.stdout.startswith("2 [] ")
     assert f"rpod target {verb}: {file}: cannot be read (No such file or directory)" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("verb", "fields"),
+    [
+        ("estimator", "`sensors` and `target` (example: docs/tutorials/your-camera.md)"),
+        ("motion", "`target`, `motion` and `duration_s` (example: config/motion.json"),
+        ("proxy", "`links` (example: services/rpod_proxy/README.md)"),
+    ],
+)
+def test_a_service_without_a_file_names_the_fields_that_it_needs(verb, fields):
+    done = CliRunner().invoke(app, [verb])
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"rpod {verb}: no configuration: give --config FILE with {fields}")
+
+
+def test_an_error_names_its_verb_once(capsys):
+    error = ConfigurationError("rpod driver check", "kind", "is unknown")
+    assert failed("driver check", error) == 2
+    assert capsys.readouterr().err == "rpod driver check: kind: is unknown\n"
+    done = CliRunner().invoke(app, ["router", "--listen", "7447"])
+    assert done.stderr.startswith("rpod router: listen: is '7447'")
 
 
 def test_a_process_that_compiled_code_ends_tells_the_call():

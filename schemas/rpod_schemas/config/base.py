@@ -3,6 +3,7 @@
 import reprlib
 import tomllib
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from copy import deepcopy
 from difflib import get_close_matches
 from itertools import chain, islice
@@ -83,6 +84,10 @@ def live_fields(model: type[BaseModel]) -> tuple[str, ...]:
 _MOST_BYTES, _MOST_VALUES, _MOST_LEVELS = 8 << 20, 1_000_000, 50
 _MOST_FILES = 1000
 """Largest number of files in a folder whose names are compared with that of a missing file."""
+_ALIKE = 0.8
+"""Least likeness of a file's name that is proposed, 1 if equal (``difflib``); unlike names mislead."""
+_being_read: ContextVar[tuple[Path, ...]] = ContextVar("being_read", default=())
+"""Files whose content is being checked, from the outermost one on: no field of theirs means one of these."""
 _TOO_DEEP = f"is nested more than {_MOST_LEVELS} levels deep; no field of a configuration is"
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -119,15 +124,19 @@ def read_document(path: Path) -> dict[str, Any]:
 
 def _meant(path: Path) -> str:
     """Return a hint at the file that was meant, or at the folder that does not exist."""
-    folder = path.parent
+    folder, being_read = path.parent, _being_read.get()
     try:
         if not folder.is_dir():
             return f": there is no folder {folder}"
-        names = [each.name for each in islice(folder.iterdir(), _MOST_FILES) if each.suffix == path.suffix]
+        files = [each for each in islice(folder.iterdir(), _MOST_FILES) if each.suffix == path.suffix]
+        if path in files:
+            return ""
+        names = [each.name for each in files if each.absolute() not in being_read]
     except OSError:
         return ""
-    meant = [] if path.name in names else get_close_matches(path.name, names, n=1)
-    return f"; did you mean {folder / meant[0]}?" if meant else ""
+    if meant := get_close_matches(path.name, names, n=1, cutoff=_ALIKE):
+        return f"; did you mean {folder / meant[0]}?"
+    return "" if path.is_absolute() else f" in {folder.absolute()}"
 
 
 def _syntax(error: Exception) -> str:
@@ -174,6 +183,7 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     Raises:
         ConfigurationError: names the source, the first field that is wrong, and why.
     """
+    outer = _being_read.set((*_being_read.get(), Path(source).absolute()))
     try:
         return model.model_validate(document)
     except ValidationError as error:
@@ -185,6 +195,8 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
             )
             reason += f" (and {len(others)} more: {', '.join(named)})"
         raise ConfigurationError(source, _place(problem["loc"]), reason) from error
+    finally:
+        _being_read.reset(outer)
 
 
 def _place(location: Sequence[int | str]) -> str:

@@ -73,7 +73,9 @@ def check(
     target: Annotated[
         str | None,
         typer.Option(
-            "--target", help="Target in view, to compare with truth: instant, range, mount, mirror."
+            "--target",
+            help="Name or file of the target in view. With truth on the bus, stamps, ranges, mount and "
+            "mirroring are checked too.",
         ),
     ] = None,
     against: AgainstOption = None,
@@ -117,7 +119,10 @@ def new(
 def faults(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list only.")] = False,
 ) -> None:
-    """List the faults of sensors. 'rpod driver check' knows them; scenarios and queries may ask for them."""
+    """List the faults of messages, scene, links, processes and disk.
+
+    'rpod driver check' names those of messages; scenarios and queries may ask for any.
+    """
     from rpod.driver.command import faults_command
 
     raise typer.Exit(faults_command(as_json=as_json))

@@ -22,7 +22,7 @@ from rpod_analysis.replay import Playback, Played, compare, configured_estimator
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
 from rpod_runtime import Node
-from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK
+from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
 from rpod_runtime.process.lifecycle import run as run_service
 from rpod_schemas.config.base import check, load
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -47,6 +47,32 @@ class BusOptions:
     loop: bool
     topics: str | None
     clock: bool
+
+
+_ONCE = "without it the log is replayed once through the estimator"
+_NEED_BUS = {
+    "loop": f"--loop: needs --bus; {_ONCE}",
+    "speed": f"--speed: needs --bus; {_ONCE}, as fast as it can",
+    "topics": "--topics: needs --bus; without it the estimator takes the topics of its own sensors",
+    "clock": "--no-clock: needs --bus; without it nothing is published",
+}
+"""Refusals of options without ``--bus``, by name."""
+_NO_BUS = {
+    "config": "--config: is for a replay through the estimator, but --bus plays messages and runs none",
+    "as_live": "--as-live: is for a replay through the estimator, but --bus plays messages and runs none",
+    "out": "--out: is for a replay through the estimator, but --bus writes no log",
+}
+"""Refusals of options with ``--bus``, by name."""
+
+
+def check_options(given: Sequence[str], *, onto_bus: bool) -> int:
+    """Return 0 if the given options have an effect, else the exit code; the reason is printed."""
+    refused = _NO_BUS if onto_bus else _NEED_BUS
+    reason = next((refused[name] for name in given if name in refused), None)
+    if reason is None:
+        return EXIT_OK
+    remedy = "; leave one of both out" if onto_bus else ""
+    return failed("replay", reason + remedy, EXIT_USAGE)
 
 
 def bus_command(

@@ -10,6 +10,12 @@ from rpod.log_options import NoLimits
 log_verbs = typer.Typer()
 
 
+def _given(context: typer.Context) -> list[str]:
+    """Return the names of the options that the command line gives, also with the values of the defaults."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+
+
 @log_verbs.command()
 def report(
     logs: Annotated[
@@ -33,6 +39,7 @@ def report(
 
 @log_verbs.command()
 def replay(
+    context: typer.Context,
     logs: Annotated[list[Path], typer.Argument(help="MCAP files, or a folder of them.")],
     config: Annotated[
         Path | None,
@@ -72,9 +79,12 @@ def replay(
 
     The estimator may have another configuration than it had in the log.
     """
-    from rpod.logs.replay import BusOptions, bus_command, navigator_command
+    from rpod.logs.replay import BusOptions, bus_command, check_options, navigator_command
 
-    if bus or connect or wait:
+    onto_bus = bus or wait or connect is not None
+    if code := check_options(_given(context), onto_bus=onto_bus):
+        raise typer.Exit(code)
+    if onto_bus:
         onto = BusOptions(connect, wait, speed=speed, loop=loop, topics=topics, clock=clock)
         raise typer.Exit(bus_command(logs, onto, start_s=start, end_s=end, as_json=as_json))
     raise typer.Exit(

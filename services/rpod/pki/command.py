@@ -28,6 +28,8 @@ from rpod_security.facility import named, other_host, rules_of
 from rpod_security.roles import ROLES, ROUTER
 
 P = ParamSpec("P")
+_ALL = "all"
+"""In the place of a role: the roles of all services of a run."""
 _LOCAL = "localhost", "127.0.0.1", "::1"
 _HOST = r"[A-Za-z0-9_]([A-Za-z0-9_.-]*[A-Za-z0-9_])?"
 """Pattern of a host's name."""
@@ -83,9 +85,10 @@ def _checked(hosts: Sequence[str]) -> tuple[str, ...]:
 @_with_exit_code
 def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[str], days: float) -> None:
     """Issue the credentials of one name, or of all that ``rpod run`` needs and that have none yet."""
+    _check_issue(role, name, hosts)
     authority = Authority.open(folder)
     wanted = {name or role: role}
-    if role == "all":
+    if role == _ALL:
         taken = {entry.name for entry in authority.valid}
         wanted = {each: its for each, its in OF_A_RUN.items() if each not in taken}
     for each, its in wanted.items():
@@ -94,13 +97,23 @@ def issue_command(folder: Path, role: str, name: str | None, *, hosts: Sequence[
         print(f"{made}: credentials of {each}, a {its}; copy the folder to its host")
 
 
+def _check_issue(role: str, name: str | None, hosts: Sequence[str]) -> None:
+    """Check the arguments of ``rpod pki issue``. Raises ``ConfigurationError``."""
+    if role != _ALL and role not in ROLES:
+        raise ConfigurationError(
+            "role", "", f"{role!r} is unknown; choose {_ALL}, or one of {', '.join(sorted(ROLES))}"
+        )
+    if role == _ALL and name is not None:
+        raise ConfigurationError("name", "", f"is {name!r}; 'all' gives each name itself, so leave it out")
+    if hosts and role != ROUTER:
+        raise ConfigurationError("--host", "", f"is only for the role {ROUTER}; leave it out for {role!r}")
+
+
 @_with_exit_code
 def request_command(folder: Path, role: str) -> None:
     """Make a key and a request for its certificate."""
     if role not in ROLES:
-        raise ConfigurationError(
-            "rpod pki request", "role", f"is {role!r}, unknown; 'rpod pki show' lists them"
-        )
+        raise ConfigurationError("role", "", f"{role!r} is unknown; choose one of {', '.join(sorted(ROLES))}")
     request = write_request(folder.absolute(), role)
     print(f"{request}: send it to the authority; the key stays here")
 

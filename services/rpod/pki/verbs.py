@@ -18,6 +18,14 @@ HostOption = Annotated[
     list[str] | None,
     typer.Option("--host", help="Name or address under which clients reach the router; may be repeated."),
 ]
+RouterHostOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--host",
+        help="Name or address under which clients reach the router; may be repeated; only for the role "
+        "router.",
+    ),
+]
 _FOLDER = Path("pki")
 
 
@@ -39,8 +47,14 @@ def issue(
     role: Annotated[
         str, typer.Argument(help="Role, as 'rpod pki show' lists them; all: those of 'rpod run'.")
     ],
-    name: Annotated[str | None, typer.Argument(help="Name of the instance on the bus; unique.")] = None,
-    host: HostOption = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="Name of the service on the bus (its `instance`); that of the role by default. Not with "
+            "'all'."
+        ),
+    ] = None,
+    host: RouterHostOption = None,
     days: DaysOption = 365,
     folder: FolderOption = _FOLDER,
 ) -> None:
@@ -64,7 +78,7 @@ def request(
 @pki_verbs.command()
 def sign(
     request: Annotated[Path, typer.Argument(help="Request, made by 'rpod pki request'.")],
-    host: HostOption = None,
+    host: RouterHostOption = None,
     days: DaysOption = 365,
     folder: FolderOption = _FOLDER,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TypeVar
 from rpod.play.facility import Facility
 from rpod_schemas.config.service import ServiceConfig
 from rpod_security.certificates import Identity
-from rpod_security.credentials import Credentials
+from rpod_security.credentials import IDENTITY, Credentials
 from rpod_security.errors import CredentialsError
 from rpod_security.facility import member_of, named
 from rpod_security.rules import Rules
@@ -73,9 +73,7 @@ def _write_rules(clients: list[ServiceConfig], pki: Path, file: Path) -> None:
 
 
 def _identity(folder: Path) -> Identity:
-    try:
-        return Credentials.read(folder).identity
-    except CredentialsError as error:
-        raise CredentialsError(
-            folder, str(error), "'rpod pki init' and 'rpod pki issue all' make all credentials of a run"
-        ) from error
+    if not (folder / IDENTITY).exists():
+        remedy = "run 'rpod pki init', then 'rpod pki issue all'"
+        raise CredentialsError(folder, f"{IDENTITY} is missing", remedy)
+    return Credentials.read(folder).identity

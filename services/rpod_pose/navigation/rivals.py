@@ -2,8 +2,8 @@
 
 Each rival has a filter of its own. A frame adds to the logarithm of its evidence: the log likelihood of the
 frame at the pose that the tracker found, by the sensor's own model, the one by which its search weighs
-hypotheses. Errors of successive frames are correlated, so it counts as little as the filter counts the frame,
-and no more than once in ``CORRELATED_S``.
+hypotheses. Errors of successive frames are correlated, so half of it counts, whatever the rate (or one part
+in ``correlation_inflation``, if that is set), and no more than once in ``CORRELATED_S``.
 
 Only differences matter. A rival is excluded when a frame that another one explains contradicts it, or when
 the filter's gate rejects its motion. Attitudes that no measurement distinguishes are one rival.
@@ -77,7 +77,7 @@ class Rivals(NamedTuple):
 
         Args:
             stamp_ns: stamp of the frame.
-            inflation: factor by which a frame counts less, as in the filter (``FilterConfig.inflation``).
+            inflation: factor by which a frame counts less (``FilterConfig.inflation`` without a rate).
         """
         return min(1.0 / inflation, max(stamp_ns - self.newest_ns, 0) * 1e-9 / CORRELATED_S)
 

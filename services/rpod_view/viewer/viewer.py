@@ -37,6 +37,11 @@ class Viewer:
     """Process of the viewer; None if the output is a file."""
 
     @property
+    def how(self) -> str:
+        """What becomes of the drawing there, for the operator."""
+        return "written to" if self.process is None else "shown in"
+
+    @property
     def closed(self) -> bool:
         """Whether the viewer was closed."""
         return self.process is not None and self.process.poll() is not None

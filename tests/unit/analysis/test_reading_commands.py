@@ -54,6 +54,22 @@ def test_a_bad_option_is_refused_with_field_and_reason(tmp_path, options, field)
     assert line.count("rpod replay") == 1
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--loop",), "--loop: needs --bus; without it the log is replayed once through the estimator"),
+        (("--speed", "1"), "--speed: needs --bus; "),
+        (("--topics", "pmd/*"), "--topics: needs --bus; "),
+        (("--no-clock",), "--no-clock: needs --bus; "),
+        (("--bus", "--config", "gone.yaml"), "--config: is for a replay through the estimator"),
+        (("--connect", "tcp/127.0.0.1:1", "--out", "o.mcap"), "--out: is for a replay through the estimator"),
+        (("--bus", "--as-live"), "--as-live: is for a replay through the estimator"),
+    ],
+)
+def test_an_option_without_effect_is_refused(tmp_path, options, words):
+    assert f"rpod replay: {words}" in the_line(rpod("replay", tmp_path / "run.mcap", *options), 2)
+
+
 @pytest.mark.parametrize("clock", [True, False])
 def test_a_beginning_after_the_end_of_the_log_is_told(tmp_path, clock):
     log = SyntheticRun(duration_s=0.5, clock=clock).write(tmp_path / "run.mcap")

@@ -1,10 +1,11 @@
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
-from rpod_schemas.config.base import Config, Positive, check, load, read_document
+from rpod_schemas.config.base import Config, Positive, check, in_place, load, read_document
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
@@ -116,10 +117,32 @@ def test_a_file_with_a_nearly_right_name_is_proposed_and_a_missing_folder_named(
     (tmp_path / "kepler.obj").write_text("")
     with pytest.raises(ConfigurationError, match=r"did you mean .*/kepler\.yaml\?$"):
         read_document(tmp_path / "keppler.yaml")
-    with pytest.raises(ConfigurationError, match=r"directory\)$"):
-        read_document(tmp_path / "quite-another.yaml")
+    for unlike in ("quite-another.yaml", "kip.yaml"):
+        with pytest.raises(ConfigurationError, match=r"directory\)$"):
+            read_document(tmp_path / unlike)
     with pytest.raises(ConfigurationError, match=r"there is no folder .*/lost$"):
         read_document(tmp_path / "lost" / "kepler.yaml")
+
+
+def test_a_missing_file_of_a_relative_path_is_told_with_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigurationError) as error:
+        read_document(Path("none.yaml"))
+    assert str(error.value) == f"none.yaml: cannot be read (No such file or directory) in {tmp_path}"
+
+
+def test_a_file_is_not_proposed_for_a_field_of_its_own(tmp_path):
+    class Outer(Config):
+        inner: Annotated[dict, BeforeValidator(lambda value: in_place(value, read_document))]
+
+    file = tmp_path / "camera.yaml"
+    file.write_text(f"inner: {tmp_path}/camera1.yaml")
+    with pytest.raises(ConfigurationError) as error:
+        load(Outer, file)
+    assert "camera1.yaml: cannot be read" in str(error.value)
+    assert "did you mean" not in str(error.value)
+    with pytest.raises(ConfigurationError, match="did you mean"):
+        read_document(tmp_path / "camera1.yaml")
 
 
 @pytest.mark.parametrize(

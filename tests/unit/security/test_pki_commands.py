@@ -8,11 +8,13 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from rpod.__main__ import app
+from rpod.play.secure_run import _identity
 from rpod_schemas.config.base import check as check_config
 from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.audit import AuditRecord
+from rpod_security.errors import CredentialsError
 
 
 @pytest.fixture
@@ -44,7 +46,7 @@ def test_all_credentials_of_a_run_are_issued_by_one_command(folder: Path):
         (["renew", "nobody"], "was never issued"),
         (["revoke", "nobody"], "was never issued"),
         (["rules", "none.yaml"], "cannot be read"),
-        (["show", "--pki", "elsewhere"], "rpod pki init"),
+        (["show", "--pki", "elsewhere"], "'rpod pki init'; or name the folder of an existing one with --pki"),
         (["audit", "none.jsonl"], "rpod pki: none.jsonl: No such file"),
         (["sign", "none"], "rpod pki: none: No such file"),
         (["init", "--pki", "new", "--host", "lab router"], "--host: is 'lab router'; needs the name"),
@@ -58,6 +60,31 @@ def test_an_error_is_one_line_with_the_remedy(folder: Path, arguments: list[str]
     assert text in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["issue", "foo", "bar"], "role: 'foo' is unknown; choose all, or one of chaser, driver"),
+        (["issue", "driver", "a", "--host", "x"], "--host: is only for the role router"),
+        (["issue", "all", "a"], "name: is 'a'; 'all' gives each name itself"),
+        (["request", "foo", "bar"], "role: 'foo' is unknown; choose one of chaser, driver"),
+    ],
+)
+def test_bad_usage_has_its_own_exit_code_and_is_told_before_files_are_read(
+    tmp_path: Path, arguments: list[str], text: str
+):
+    done = pki(*arguments, *(["--pki", str(tmp_path)] if arguments[0] == "issue" else []))
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"rpod pki: {text}")
+
+
+def test_a_run_without_credentials_names_the_file_once_and_both_commands(tmp_path: Path):
+    with pytest.raises(CredentialsError) as error:
+        _identity(tmp_path / "motion")
+    assert str(error.value) == (
+        f"{tmp_path}/motion: identity.pem is missing; run 'rpod pki init', then 'rpod pki issue all'"
+    )
 
 
 @pytest.mark.usefixtures("folder")

@@ -1,9 +1,11 @@
+from threading import Event
+
 import pytest
 
 from rpod_schemas.config.base import check
 from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
-from rpod_view.viewer.viewer import has_display
+from rpod_view.viewer.viewer import has_display, open_viewer
 
 
 def test_a_view_stays_on_this_machine_unless_told_otherwise():
@@ -28,6 +30,16 @@ def test_data_go_to_where_the_viewer_listens(bind, host):
 def test_what_a_view_does_not_do_is_refused(document):
     with pytest.raises(ConfigurationError, match=next(iter(document))):
         check(ViewConfig, document, source="test")
+
+
+def test_a_recording_needs_the_ending_by_which_a_viewer_opens_it():
+    with pytest.raises(ConfigurationError, match=r"save: is 'x\.txt'; .* take 'x\.rrd'$"):
+        check(ViewConfig, {"save": "x.txt"}, source="test")
+
+
+def test_a_recording_is_written_and_a_window_is_shown(tmp_path):
+    with open_viewer(ViewConfig(save=tmp_path / "run.rrd"), Event()) as viewer:
+        assert (viewer.how, viewer.where) == ("written to", str(tmp_path / "run.rrd"))
 
 
 def test_its_configuration_survives_its_file():

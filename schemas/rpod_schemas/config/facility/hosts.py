@@ -71,8 +71,13 @@ class FacilityService(Config):
 
     @model_validator(mode="after")
     def _driver_has_a_name(self) -> Self:
-        if (self.verb == "driver") != (self.driver is not None):
-            raise ValueError("driver: verb driver needs the name of one, and no other verb has one")
+        if self.verb == "driver" and self.driver is None:
+            raise ValueError(
+                "driver: is missing; with `verb: driver` give the driver's name, as `driver: ifm` "
+                "('rpod driver list' shows them)"
+            )
+        if self.verb != "driver" and self.driver is not None:
+            raise ValueError("driver: only `verb: driver` takes `driver`; remove it")
         return self
 
     @property

@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import quote
 
-from pydantic import Field, IPvAnyAddress, model_validator
+from pydantic import Field, IPvAnyAddress, field_validator, model_validator
 
 from rpod_schemas.config.base import Name
 from rpod_schemas.config.service import ServiceConfig
 
 MAX_RATE_HZ = 10.0
+RECORDING = ".rrd"
+"""Ending of a recording of the viewer."""
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -42,6 +44,16 @@ class ViewConfig(ServiceConfig):
     """Largest memory of the viewer, bytes; beyond it the oldest data are dropped."""
     save: Path | None = None
     """Path of a recording (.rrd) that is written instead of a view."""
+
+    @field_validator("save")
+    @classmethod
+    def _viewers_know_a_recording_by_its_ending(cls, path: Path | None) -> Path | None:
+        if path is not None and path.suffix != RECORDING:
+            raise ValueError(
+                f"is {str(path)!r}; it is written in the format of the viewer Rerun, which opens a file by "
+                f"its ending: take {str(path.with_suffix(RECORDING))!r}"
+            )
+        return path
 
     @model_validator(mode="after")
     def _a_secure_bus_is_shown_here_alone(self) -> Self:
