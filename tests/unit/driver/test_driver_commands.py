@@ -1,0 +1,42 @@
+"""The verbs of ``rpod driver``, as far as they need no bus."""
+
+import pytest
+import yaml
+
+from rpod.driver.check import driver_of
+from rpod_schemas.errors import ConfigurationError
+
+BUS = {"connect": "tcp/127.0.0.1:7449"}
+
+
+def written(folder, **document):
+    file = folder / "driver.yaml"
+    file.write_text(yaml.safe_dump(document))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("document", "kind"),
+    [
+        ({"kind": "pmd"}, "pmd"),
+        ({"kind": "pmd", "device": {"ip": "192.168.0.69"}}, "pmd"),
+        ({"device": {"ip": "192.168.0.69", "port": "port3"}}, "pmd"),
+        ({"device": {"python": "/opt/ouster/bin/python", "source": "os.local"}}, "lidar"),
+        ({"kind": "lidar", "device": {"of_a_driver": "that is not installed"}, "more": 1}, "lidar"),
+    ],
+)
+def test_a_check_takes_kind_name_and_bus_of_the_configuration_of_any_driver(tmp_path, document, kind):
+    found = driver_of(written(tmp_path, name="front", bus=BUS, **document))
+    assert (found.kind, found.name, found.bus.connect) == (kind, "front", BUS["connect"])
+
+
+def test_a_check_of_a_configuration_whose_kind_nothing_tells_asks_for_it(tmp_path):
+    file = written(tmp_path, name="front", device={"address": "somewhere"})
+    with pytest.raises(ConfigurationError, match="kind: is missing, and no driver accepts the file"):
+        driver_of(file)
+    assert driver_of(file, "lidar").kind == "lidar"
+
+
+def test_a_check_names_the_wrong_field_of_a_configuration(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"driver\.yaml: name"):
+        driver_of(written(tmp_path, kind="pmd"))
