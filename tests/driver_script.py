@@ -48,6 +48,20 @@ def silent(sender):
         time.sleep(0.02)
 
 
+def pausing(sender):
+    """Send a frame, a pause of 1.5 s that is announced, and another frame."""
+    stream(sender, 1)
+    sender.send("idle", pause_s=1.5)
+    time.sleep(1.5)
+    sender.send("frame", {"depth_m": image(1)}, stamp_ns=2 * 10**12)
+    sender.send("end")
+
+
+def pausing_for_ever(sender):
+    stream(sender, 1)
+    sender.send("idle", pause_s="for ever")
+
+
 def environment(sender):
     told = {"path": sys.path, "venv": os.environ.get("VIRTUAL_ENV"), "modules": sorted(sys.modules)}
     sender.send("error", text=repr(told))

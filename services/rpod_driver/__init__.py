@@ -9,6 +9,7 @@ from rpod_driver.ports import (
     Driver,
     Drops,
     LidarDriver,
+    Paced,
     Synchronised,
     Triggered,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "DriverError",
     "Drops",
     "LidarDriver",
+    "Paced",
     "Synchronised",
     "Triggered",
     "main",

@@ -90,6 +90,22 @@ class Counted(Protocol):
         ...
 
 
+@runtime_checkable
+class Paced(Protocol):
+    """A driver that knows when its next frame is due, as a player or one that triggers; a driver need not be.
+
+    A pause that it announces is no silence: the host counts from the time at which the frame was due.
+    """
+
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock; called often, it must return at once.
+
+        Return only what is certain, and a time that has passed if the next frame is not known to be later: a
+        frame that does not come after this time is a fault.
+        """
+        ...
+
+
 class CameraDriver(Driver, Protocol):
     """A PMD camera."""
 

@@ -255,6 +255,35 @@ def test_a_silent_sensor_is_an_error_and_connected_again(bus):
     assert driver.opened == driver.closed >= 2
 
 
+class Pausing(Scripted):
+    """A player whose two frames are half a second apart."""
+
+    due = 0.0
+
+    def frames(self):
+        yield frame(1)
+        pause, self.due = Event(), monotonic() + 0.5
+        while monotonic() < self.due:
+            pause.wait(0.02)
+            yield None
+        yield frame(2)
+        if self.opened == 1:
+            yield from silent()
+
+    def due_s(self):
+        return self.due
+
+
+def test_an_announced_pause_is_no_silence_but_what_does_not_come_after_it_is(bus):
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), DIAGNOSTICS)
+    driver = Pausing()
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", silence_s=0.2, retry_s=0.1)
+    with hosted(driver, config):
+        receiver.until(lambda got: len(got["pmd/depth/image_raw"]) == 4)
+        told = receiver.diagnostic(lambda item: item.message == "the source has ended")
+    assert (driver.opened, told.values["failures/pmd"]) == (2, "1")
+
+
 def test_a_driver_that_hangs_in_its_device_is_told(bus):
     release = Event()
 

@@ -1,9 +1,11 @@
 """The host's side of a driver process: start, frames, time-outs, errors, end."""
 
 import logging
+import math
 import os
 import signal
 import subprocess
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -58,6 +60,7 @@ class ForeignDriver:
         self._messages: Queue[frame_pipe.Message | Exception | None] = Queue(_WAITING)
         self._tail: deque[str] = deque(maxlen=_TAIL_LINES)
         self._common: dict[str, Any] = {}
+        self._due_s = -math.inf
 
     def connect(self) -> LidarInfo | PmdInfo | None:
         """Start the process and wait until its device is open.
@@ -100,6 +103,8 @@ class ForeignDriver:
             message = self._next(_POLL_S)
             if message is not None and message.kind == "end":
                 return
+            if message is not None and message.kind == "idle":
+                self._announce(message.fields.get("pause_s", 0.0))
             framed = message is not None and message.kind == "frame"
             yield self._frame(message) if framed and message else None
 
@@ -119,6 +124,10 @@ class ForeignDriver:
         teller.join(_END_S)
         cast(BinaryIO, process.stdout).close()
         cast(BinaryIO, process.stderr).close()
+
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock, as the process announced it."""
+        return self._due_s
 
     def sync(self) -> SensorSync:
         """Return where the stamps come from."""
@@ -193,6 +202,13 @@ class ForeignDriver:
             raise ForeignDriverError(
                 self._shown, f"sends no {model.__name__}: {field}: {first['msg']}"
             ) from error
+
+    def _announce(self, pause_s: object) -> None:
+        if not isinstance(pause_s, int | float) or not 0.0 <= pause_s < math.inf:
+            raise ForeignDriverError(
+                self._shown, f"sends idle with pause_s {pause_s!r}; send a number of seconds from 0"
+            )
+        self._due_s = time.monotonic() + pause_s
 
     def _log_partial(self, what: str) -> None:
         self._partial += 1

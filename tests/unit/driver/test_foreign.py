@@ -6,6 +6,7 @@ import json
 import os
 import struct
 import sys
+import time
 import tomllib
 from contextlib import closing
 from pathlib import Path
@@ -124,6 +125,7 @@ def test_a_process_that_crashes_is_told_with_its_last_words():
         ("tell", "says: the sensor is too hot"),
         ("garbage", "something else writes there"),
         ("early", "begins with 'frame'"),
+        ("pausing_for_ever", "sends idle with pause_s 'for ever'; send a number of seconds"),
         ("wrong", "sends no PmdFrame: camera"),
         ("no_such_thing", "KeyError: 'no_such_thing'"),
     ],
@@ -151,6 +153,18 @@ def test_a_silent_device_is_told_as_none_and_its_process_ends_with_the_host(tmp_
     opened.close()  # nothing is left to close
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
+
+
+def test_a_pause_that_the_process_announces_is_told_to_the_host():
+    opened = driver("pausing")
+    opened.connect()
+    with closing(opened):
+        got = opened.frames()
+        assert next(got) is not None
+        assert opened.due_s() < time.monotonic()
+        assert next(got) is None
+        assert 0.5 < opened.due_s() - time.monotonic() <= 1.5
+        assert sum(frame is not None for frame in got) == 1
 
 
 @pytest.mark.timeout(30)

@@ -42,10 +42,16 @@ def written(folder: Path, plugin: StoragePlugin, messages) -> Path:
     return folder
 
 
-def camera_messages(count=4, *, depth_topic="/front/depth/image_raw", info_topic="/front/camera_info"):
+def camera_messages(
+    count=4,
+    *,
+    depth_topic="/front/depth/image_raw",
+    info_topic="/front/camera_info",
+    period_ns=PERIOD_NS,
+):
     yield "/front/info", write_pmd_info(START_NS, "front_optical", INFO), START_NS
     for number in range(count):
-        stamp_ns = START_NS + number * PERIOD_NS
+        stamp_ns = START_NS + number * period_ns
         yield info_topic, write_camera(stamp_ns, "front_optical", CAMERA), stamp_ns
         image = write_image(stamp_ns, "front_optical", depth(number), "32FC1")
         yield depth_topic, image, stamp_ns
@@ -116,6 +122,19 @@ def test_a_repeated_recording_goes_on_in_time(tmp_path):
     steps = np.diff([frame.stamp_ns for frame in frames])
     assert len(frames) == 9
     assert (steps == PERIOD_NS // 100).all()
+
+
+def test_a_gap_of_the_recording_is_announced_until_its_end(tmp_path):
+    first, second = camera_messages(2, period_ns=70 * 10**9), None
+    opened = driver(bag=written(tmp_path / "bag", StoragePlugin.MCAP, first))
+    opened.connect()
+    assert opened.due_s() < time.monotonic()
+    for frame in opened.frames():
+        if frame is None:
+            assert 0.0 <= opened.due_s() - time.monotonic() < 0.7
+            second = opened.due_s()
+    assert second is not None
+    assert opened.due_s() < time.monotonic()
 
 
 def test_what_is_left_out_is_told_with_the_reason(tmp_path, caplog):

@@ -12,7 +12,7 @@ from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, 
 from rpod_driver.adapters.genicam.features import execute, read, write, write_all
 from rpod_driver.errors import DriverError
 from rpod_driver.gaps import GapCounter
-from rpod_driver.pauses import paused_until
+from rpod_driver.pauses import Pauses
 from rpod_driver.ports import Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
@@ -48,6 +48,7 @@ class GenicamCamera:
     def _begin(self) -> None:
         self._stamps = StampMapper(self._name, self._device.stamps)
         self._told: set[str] = set()
+        self._pauses = Pauses()
         self._gaps.begin()
 
     def connect(self) -> None:
@@ -90,7 +91,11 @@ class GenicamCamera:
                 buffer.queue()
             yield frame
             if software:
-                yield from paused_until(started_s + 1.0 / self._device.trigger_rate_hz)
+                yield from self._pauses.until(started_s + 1.0 / self._device.trigger_rate_hz)
+
+    def due_s(self) -> float:
+        """Return when the next software trigger is due, s of the monotonic clock."""
+        return self._pauses.due_s
 
     def trigger(self) -> None:
         """Ask for one frame by software. Raises ``FeatureError``."""
