@@ -93,6 +93,14 @@ def partial(sender):
     sender.send("end")
 
 
+def scan(sender):
+    """Send a scan of 8 s, the last column of which was not received."""
+    time_s = np.tile(np.array([-4.0, 0.0, 4.0, np.nan], np.float32), (2, 1))
+    sender.send("info")
+    sender.send("frame", {"points_m": np.ones((2, 4, 3), np.float32), "time_s": time_s}, stamp_ns=10**12)
+    sender.send("end")
+
+
 def pid(sender, file):
     Path(file).write_text(str(os.getpid()))
     silent(sender)

@@ -39,7 +39,8 @@ class StampConfig(Config):
     none."""
     delay_s: float = Field(default=0.0, ge=0, le=10)
     """Least time from the middle of the exposure to the arrival of its frame, s, subtracted where stamps are
-    mapped or of the arrival. It cannot be measured from the frames alone."""
+    mapped or of the arrival; of a scan with times of its points, from its last point. It cannot be measured
+    from the frames alone."""
 
 
 class StampMapper:
@@ -57,13 +58,15 @@ class StampMapper:
         """Facts about the device's clock."""
         return SensorSync(stamp_source=self.source)
 
-    def utc_ns(self, device_ns: int | None) -> int:
+    def utc_ns(self, device_ns: int | None, *, after_ns: int = 0) -> int:
         """Return the stamp of a frame that has just arrived, ns of UTC.
 
         Mapped stamps and stamps of arrival rise. Those of the device are passed on unchanged.
 
         Args:
             device_ns: its stamp by the device's clock, ns; None if the device gives none.
+            after_ns: time from the stamp to the last measurement of the frame, ns: a scan cannot arrive
+                before its last point, so that this part of the delay is known.
         """
         now_ns = self._now_ns()
         source = self._source(device_ns, now_ns)
@@ -72,8 +75,10 @@ class StampMapper:
         self.source = source
         if source == "device" and device_ns is not None:
             return device_ns
-        stamp_ns = now_ns if source == "host" or device_ns is None else self._mapped_ns(device_ns, now_ns)
-        self._last_ns = max(stamp_ns - self._delay_ns, self._last_ns + 1)
+        ended_ns = (
+            now_ns if source == "host" or device_ns is None else self._mapped_ns(device_ns + after_ns, now_ns)
+        )
+        self._last_ns = max(ended_ns - after_ns - self._delay_ns, self._last_ns + 1)
         return self._last_ns
 
     def _source(self, device_ns: int | None, now_ns: int) -> StampSource:

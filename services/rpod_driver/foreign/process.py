@@ -14,6 +14,8 @@ from queue import Empty, Queue
 from threading import Thread
 from typing import Any, BinaryIO, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from rpod_driver.errors import ForeignDriverError
@@ -22,6 +24,7 @@ from rpod_driver.foreign.config import ForeignEnvironment
 from rpod_driver.stamps import StampMapper
 from rpod_runtime.process.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 
 log = logging.getLogger(__name__)
@@ -182,7 +185,7 @@ class ForeignDriver:
         device_ns, partial = fields.pop("stamp_ns", None), fields.pop("partial", "")
         if partial:
             self._log_partial(str(partial))
-        stamp_ns = self._stamps.utc_ns(device_ns)
+        stamp_ns = self._stamps.utc_ns(device_ns, after_ns=_after_ns(message.arrays.get("time_s")))
         made: SensorFrame = self._checked(
             _FRAME, {"frame_id": "", **fields, **message.arrays, "stamp_ns": stamp_ns}
         )
@@ -234,3 +237,9 @@ class ForeignDriver:
             text = line.decode(errors="replace").rstrip()
             self._tail.append(text)
             log.info("%s: process: %s", self._name, text)
+
+
+def _after_ns(time_s: NDArray[Any] | None) -> int:
+    """Return the time from a scan's stamp to its last point, ns; 0 for frames without times of points."""
+    timed = np.empty(0) if time_s is None else time_s[np.isfinite(time_s)]
+    return round(float(timed.max()) * NANOSECONDS) if timed.size else 0

@@ -201,6 +201,12 @@ def test_the_base_install_has_no_library_of_a_device():
     assert not [line for lines in extras.values() for line in lines if "ouster" in line]
 
 
+def test_the_stamp_of_a_scan_is_mapped_by_the_arrival_of_its_last_point():
+    begun_ns = time.time_ns()
+    (got,) = frames("scan", kind="lidar")
+    assert begun_ns <= got.stamp_ns + 4_000_000_000 <= time.time_ns()
+
+
 def test_partial_scans_are_told_and_not_for_each(caplog):
     assert len(frames("partial", kind="lidar")) == 12
     told = [record.message for record in caplog.records if "lacks" in record.message]

@@ -69,6 +69,15 @@ def test_a_device_without_stamps_is_stamped_at_arrival_less_the_delay():
     assert mapper.source == "host"
 
 
+@pytest.mark.parametrize("device_ns", [9_000 * MS, None])
+def test_a_scan_arrives_after_its_last_point_not_at_its_middle(device_ns):
+    clock = iter([NOW_NS + 50 * MS, NOW_NS + 150 * MS])
+    mapper = StampMapper("top", StampConfig(), now_ns=lambda: next(clock))
+    assert mapper.utc_ns(device_ns, after_ns=50 * MS) == NOW_NS
+    later_ns = device_ns and device_ns + 100 * MS
+    assert mapper.utc_ns(later_ns, after_ns=48 * MS) == NOW_NS + (100 if device_ns else 102) * MS
+
+
 @pytest.mark.parametrize("source", ["device", "mapped", "host"])
 def test_a_source_that_is_configured_counts(source):
     mapper, _ = mapped(StampConfig(source=source), [NOW_NS - MS], [NOW_NS])
