@@ -1,6 +1,6 @@
 """Drivers of sensors: a driver connects, yields frames and closes; the host does everything else."""
 
-from rpod_driver.errors import DriverError
+from rpod_driver.errors import DriverError, StoppedError
 from rpod_driver.host import main, run
 from rpod_driver.ports import (
     Adjustable,
@@ -10,6 +10,7 @@ from rpod_driver.ports import (
     Drops,
     LidarDriver,
     Paced,
+    Stoppable,
     Synchronised,
     Triggered,
 )
@@ -23,6 +24,8 @@ __all__ = [
     "Drops",
     "LidarDriver",
     "Paced",
+    "Stoppable",
+    "StoppedError",
     "Synchronised",
     "Triggered",
     "main",

@@ -16,6 +16,13 @@ class SilentSensorError(DriverError):
         super().__init__(f"no frame for {silence_s:.1f} s; check the sensor's power and connection")
 
 
+class StoppedError(DriverError):
+    """A driver was stopped before its device was open; it is no fault."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(f"the driver of {sensor!r} was stopped before its device was open")
+
+
 class WrongKindError(DriverError):
     """The driver delivers frames, or an info, of another kind than configured."""
 

@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from rpod_driver.commands import Commands
-from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
-from rpod_driver.ports import Counted, Driver, Paced, Synchronised
+from rpod_driver.errors import DriverError, SilentSensorError, StoppedError, WrongKindError
+from rpod_driver.ports import Counted, Driver, Paced, Stoppable, Synchronised
 from rpod_runtime import Node
 from rpod_runtime.process import lifecycle
 from rpod_runtime.process.notify import manager
@@ -77,6 +77,8 @@ class Host:
         self._trouble = ""
         self._retry_s = config.retry_s
         self.finished = False
+        if isinstance(driver, Stoppable):
+            driver.take_stop(node.stop)
 
     def serve_connection(self) -> None:
         """Connect and publish until the source ends, the sensor fails, or a stop; wait after a failure."""
@@ -87,6 +89,8 @@ class Host:
                 self._publish_all(self._driver.frames())
             finally:
                 self._driver.close()
+        except StoppedError as error:
+            log.info("%s", error)
         except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
             self._recover(error)
 

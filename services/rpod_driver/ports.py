@@ -1,6 +1,7 @@
 """The ports of drivers. Emulator, recording and real device are equal behind them."""
 
 from collections.abc import Iterator, Mapping
+from threading import Event
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from rpod_schemas.config.driver import Setting
@@ -87,6 +88,19 @@ class Counted(Protocol):
 
     def drops(self) -> Drops:
         """Return the counts now; called each second, it must return at once."""
+        ...
+
+
+@runtime_checkable
+class Stoppable(Protocol):
+    """A driver that waits for long in ``connect``; a driver need not be one."""
+
+    def take_stop(self, stop: Event) -> None:
+        """Take the event that is set when the driver has to end; called once, before the first ``connect``.
+
+        ``connect`` looks at it at least once a second while it waits, calls ``manager.alive()`` of
+        ``rpod_runtime.process.notify`` as often, and raises ``StoppedError`` when the event is set.
+        """
         ...
 
 

@@ -17,7 +17,7 @@ from facility_process import until
 from ros_client import RosClient, assignment, parameters
 
 import rpod_driver
-from rpod_driver import DriverError, Drops, run
+from rpod_driver import DriverError, Drops, StoppedError, run
 from rpod_runtime import Inbox
 from rpod_runtime.errors import QueryFailedError
 from rpod_schemas.config.driver import DriverConfig
@@ -282,6 +282,24 @@ def test_an_announced_pause_is_no_silence_but_what_does_not_come_after_it_is(bus
         receiver.until(lambda got: len(got["pmd/depth/image_raw"]) == 4)
         told = receiver.diagnostic(lambda item: item.message == "the source has ended")
     assert (driver.opened, told.values["failures/pmd"]) == (2, "1")
+
+
+def test_a_driver_that_is_stopped_while_it_opens_its_device_ends_without_an_error(bus, caplog):
+    opening = Event()
+
+    class Slow(Scripted):
+        def take_stop(self, stop):
+            self.stop = stop
+
+        def connect(self):
+            opening.set()
+            assert self.stop.wait(TIMEOUT_S)
+            raise StoppedError("pmd")
+
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=30.0)
+    with hosted(Slow(silent), config):
+        assert opening.wait(TIMEOUT_S)
+    assert not [each for each in caplog.records if each.levelname == "ERROR"]
 
 
 def test_a_driver_that_hangs_in_its_device_is_told(bus):

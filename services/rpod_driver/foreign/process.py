@@ -11,17 +11,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from rpod_driver.errors import ForeignDriverError
+from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
 from rpod_driver.foreign.config import ForeignEnvironment
 from rpod_driver.stamps import StampMapper
+from rpod_runtime.process.notify import manager
 from rpod_runtime.process.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -33,6 +34,8 @@ _TAIL_LINES = 10
 _WAITING = 2
 """Number of messages that wait for the host; then the pipe is full, and the device's library drops."""
 _POLL_S = 0.5
+_TURN_S = 0.25
+"""Longest time in which a stop is not noticed while the device is opened, s."""
 _END_S = 2.0
 """Time in which a process ends after its input was closed, s."""
 _INHERITED = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "CONDA_PREFIX")
@@ -56,6 +59,7 @@ class ForeignDriver:
         self._shown = f"{environment.python} {script.name}"
         self._process: subprocess.Popen[bytes] | None = None
         self._partial = 0
+        self._stop = Event()
         self._begin()
 
     def _begin(self) -> None:
@@ -65,11 +69,16 @@ class ForeignDriver:
         self._common: dict[str, Any] = {}
         self._due_s = -math.inf
 
+    def take_stop(self, stop: Event) -> None:
+        """Take the event that ends the wait for the device."""
+        self._stop = stop
+
     def connect(self) -> LidarInfo | PmdInfo | None:
         """Start the process and wait until its device is open.
 
         Raises:
             ForeignDriverError: it cannot be started, ends, or does not open its device in time.
+            StoppedError: the driver was stopped meanwhile.
         """
         self._begin()
         environment = {name: value for name, value in os.environ.items() if name not in _INHERITED}
@@ -95,7 +104,7 @@ class ForeignDriver:
         for thread in self._threads:
             thread.start()
         try:
-            return self._info(self._next(self._environment.start_s))
+            return self._info(self._first())
         except BaseException:
             self.close()
             raise
@@ -137,6 +146,17 @@ class ForeignDriver:
         return self._stamps.sync
 
     # --- messages ---
+
+    def _first(self) -> frame_pipe.Message | None:
+        """Return the first message, None if none came within ``start_s``."""
+        end_s = time.monotonic() + self._environment.start_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            if self._stop.is_set():
+                raise StoppedError(self._name)
+            manager.alive()
+            if (message := self._next(min(left_s, _TURN_S))) is not None:
+                return message
+        return None
 
     def _next(self, timeout_s: float) -> frame_pipe.Message | None:
         """Return the next message, None if none came in time. Raises ``ForeignDriverError``."""

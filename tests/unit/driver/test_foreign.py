@@ -10,6 +10,7 @@ import time
 import tomllib
 from contextlib import closing
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rpod_driver.adapters.process import ProcessConfig, open_driver
-from rpod_driver.errors import ForeignDriverError
+from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
 
 ROOT = Path(__file__).parents[3]
@@ -136,6 +137,23 @@ def test_an_error_of_the_process_is_told(does, reason):
 
 def test_a_process_that_does_not_open_its_device_is_ended_in_time():
     assert "did not open its device within 0.5 s (device.start_s)" in failure("hang", start_s=0.5)
+
+
+@pytest.mark.timeout(60)
+def test_a_stop_ends_the_wait_for_the_device_and_the_watchdog_is_told_meanwhile(monkeypatch):
+    stop, beats = Event(), []
+
+    def alive():
+        beats.append(1)
+        if len(beats) == 2:
+            stop.set()
+
+    monkeypatch.setattr("rpod_driver.foreign.process.manager.alive", alive)
+    opened = driver("hang", start_s=600.0)
+    opened.take_stop(stop)
+    with pytest.raises(StoppedError, match="'front' was stopped before its device was open"):
+        opened.connect()
+    assert len(beats) == 2
 
 
 def test_an_interpreter_that_is_not_there_is_named():
