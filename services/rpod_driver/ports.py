@@ -44,8 +44,9 @@ class Synchronised(Protocol):
 class Adjustable(Protocol):
     """A driver with settings; a driver need not be one.
 
-    The host applies the configured settings after each ``connect``, before the first frame, and those that an
-    operator changed since. So a device that forgets them with its power gets them back.
+    The host applies the configured settings after each ``connect``, before the first frame, and then those
+    that an operator changed since, in the order of their last changes. So a device that forgets them with its
+    power gets them back.
     """
 
     def settings(self) -> Mapping[str, Setting]:
