@@ -43,6 +43,15 @@ def outwards(time_s):
     return make_pose(rotation=turn, translation_m=(-0.1, 0.1, 2.0 + 2.1 * time_s))
 
 
+def turned_away(_time_s):
+    return make_pose(translation_m=(0.0, 0.0, -5.0))
+
+
+def wall(_T_sensor_target, _number):
+    shape = PMD.camera.height, PMD.camera.width
+    return np.full(shape, 3.0, np.float32), np.full(shape, 900, np.uint16)
+
+
 def waiting(_time_s):
     return inwards(1.0)
 
@@ -133,14 +142,25 @@ def test_logs_at_one_range_are_refused(tmp_path):
         ({"target": None}, "names the target"),
         ({"target": "no-such-target"}, "no-such-target"),
         ({"camera": FOLDED}, "the lens distortion has no inverse"),
-        ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' shows a face"),
+        ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' has truth"),
+        (
+            {"pose": turned_away, "render": wall},
+            "no frame of 'pmd' shows a face of the target at the true pose; check",
+        ),
     ],
 )
 def test_a_log_that_lacks_something_is_refused_by_its_name(tmp_path, changes, reason):
-    path = write(tmp_path / "poor.mcap", inwards, seed=3, duration_s=0.2, **changes)
+    changes = {"pose": inwards} | changes
+    path = write(tmp_path / "poor.mcap", seed=3, duration_s=0.2, **changes)
     with pytest.raises(CalibrationError, match=reason) as caught:
         samples_of(path)
     assert "poor.mcap" in str(caught.value)
+
+
+@pytest.mark.parametrize("truth_rate_hz", [10.0, 100.0])
+def test_the_truth_may_come_at_any_rate(tmp_path, truth_rate_hz):
+    path = write(tmp_path / "slow.mcap", waiting, seed=3, duration_s=1.0, truth_rate_hz=truth_rate_hz)
+    assert samples_of(path).frames > 6
 
 
 # --- the fit alone ---
