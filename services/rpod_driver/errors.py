@@ -37,7 +37,7 @@ class MissingSdkError(DriverError):
     """The library of a device is not installed, or cannot be loaded."""
 
     def __init__(self, driver: str, reason: str, needs: str) -> None:
-        super().__init__(f"the driver {driver!r} cannot load its device's library ({reason}); {needs}")
+        super().__init__(f"the driver {driver!r} cannot load a library that it needs ({reason}); {needs}")
 
 
 class RecordingError(DriverError):

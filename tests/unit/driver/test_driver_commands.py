@@ -1,10 +1,14 @@
 """The verbs of ``rpod driver``, as far as they need no bus."""
 
+import sys
+
 import pytest
 import yaml
 
 from rpod.driver.check import driver_of
+from rpod.driver.command import run_command
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.registry import resolve
 
 BUS = {"connect": "tcp/127.0.0.1:7449"}
 
@@ -35,6 +39,17 @@ def test_a_check_of_a_configuration_whose_kind_nothing_tells_asks_for_it(tmp_pat
     with pytest.raises(ConfigurationError, match="kind: is missing, and no driver accepts the file"):
         driver_of(file)
     assert driver_of(file, "lidar").kind == "lidar"
+
+
+def test_a_driver_whose_own_module_lacks_a_library_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rpod_driver.adapters.replay.bag", None)
+    monkeypatch.delitem(sys.modules, "rpod_driver.adapters.replay.driver", raising=False)
+    resolve.cache_clear()
+    file = written(tmp_path, kind="pmd", name="front", device={"bag": "run.mcap"})
+    assert run_command("replay", file, connect=None, wait=False) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'replay' cannot load a library that it needs" in line
+    assert line.endswith("pip install 'rpod[estimator]'")
 
 
 def test_a_check_names_the_wrong_field_of_a_configuration(tmp_path):

@@ -14,7 +14,7 @@ from rpod_schemas.types import SensorFrame, SensorInfo, SensorSync
 
 
 def open_driver(config: ReplayConfig) -> "PlayedSensor":
-    """Return the driver. Raises ``RecordingError``."""
+    """Return the driver. Raises ``RecordingError``, ``MissingSdkError``."""
     device = config.device
     if device.images is not None:
         return PlayedSensor(config, ImageFolder(device.images))
