@@ -48,6 +48,20 @@ def silent(sender):
         time.sleep(0.02)
 
 
+def pausing(sender):
+    """Send a frame, a pause of 1.5 s that is announced, and another frame."""
+    stream(sender, 1)
+    sender.send("idle", pause_s=1.5)
+    time.sleep(1.5)
+    sender.send("frame", {"depth_m": image(1)}, stamp_ns=2 * 10**12)
+    sender.send("end")
+
+
+def pausing_for_ever(sender):
+    stream(sender, 1)
+    sender.send("idle", pause_s="for ever")
+
+
 def environment(sender):
     told = {"path": sys.path, "venv": os.environ.get("VIRTUAL_ENV"), "modules": sorted(sys.modules)}
     sender.send("error", text=repr(told))
@@ -76,6 +90,14 @@ def partial(sender):
     for number in range(12):
         points = np.zeros((2, 3, 3), np.float32)
         sender.send("frame", {"points_m": points}, stamp_ns=10**12 + number, partial="lacks 7 columns")
+    sender.send("end")
+
+
+def scan(sender):
+    """Send a scan of 8 s, the last column of which was not received."""
+    time_s = np.tile(np.array([-4.0, 0.0, 4.0, np.nan], np.float32), (2, 1))
+    sender.send("info")
+    sender.send("frame", {"points_m": np.ones((2, 4, 3), np.float32), "time_s": time_s}, stamp_ns=10**12)
     sender.send("end")
 
 

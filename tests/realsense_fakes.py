@@ -34,13 +34,13 @@ class SoftwareCamera:
         stream.fps, stream.bpp, stream.intrinsics = 30, bytes_per_pixel, intrinsics
         return self._sensor.add_video_stream(stream)
 
-    def send(self, number, depth, infrared, stamp_ms=None):
+    def send(self, number, depth, infrared, stamp_ms=None, domain=rs.timestamp_domain.global_time):
         for profile, image in zip(self._profiles, (depth, infrared), strict=True):
             frame = rs.software_video_frame()
             frame.pixels, frame.stride, frame.bpp = image, image.strides[0], image.itemsize
             stamp_ms = UTC_MS + 33.0 * number if stamp_ms is None else stamp_ms
             frame.timestamp, frame.frame_number = stamp_ms, number
-            frame.domain, frame.profile = rs.timestamp_domain.system_time, profile.as_video_stream_profile()
+            frame.domain, frame.profile = domain, profile.as_video_stream_profile()
             frame.depth_units = 0.001
             self._sensor.on_video_frame(frame)
 
@@ -52,10 +52,12 @@ class SoftwareCamera:
 class FakeSdk:
     """A pipeline whose depth sensor has two options; the rest is the SDK's."""
 
-    stream, format, option = rs.stream, rs.format, rs.option
+    stream, format, option, timestamp_domain = rs.stream, rs.format, rs.option, rs.timestamp_domain
 
     def __init__(self) -> None:
         self.written: dict[object, float] = {}
+        self.refused: object = None
+        """Option whose next write fails."""
         self.streams: list[tuple] = []
         self.stopped = 0
         self.frame_metadata_value = rs.frame_metadata_value
@@ -80,9 +82,15 @@ class FakeSdk:
             is_option_read_only=lambda _: False,
             get_option=lambda option: values.get(option, limits[option][0]),
             get_option_range=lambda option: SimpleNamespace(min=limits[option][0], max=limits[option][1]),
-            set_option=values.__setitem__,
+            set_option=self.set_option,
         )
         return SimpleNamespace(get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor))
+
+    def set_option(self, option, value):
+        if option == self.refused:
+            self.refused = None
+            raise RuntimeError("hwmon command 0x4c failed")
+        self.written[option] = value
 
     def stop(self):
         self.stopped += 1

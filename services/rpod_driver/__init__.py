@@ -1,6 +1,6 @@
 """Drivers of sensors: a driver connects, yields frames and closes; the host does everything else."""
 
-from rpod_driver.errors import DriverError
+from rpod_driver.errors import DriverError, StoppedError
 from rpod_driver.host import main, run
 from rpod_driver.ports import (
     Adjustable,
@@ -9,6 +9,8 @@ from rpod_driver.ports import (
     Driver,
     Drops,
     LidarDriver,
+    Paced,
+    Stoppable,
     Synchronised,
     Triggered,
 )
@@ -21,6 +23,9 @@ __all__ = [
     "DriverError",
     "Drops",
     "LidarDriver",
+    "Paced",
+    "Stoppable",
+    "StoppedError",
     "Synchronised",
     "Triggered",
     "main",

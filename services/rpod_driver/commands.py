@@ -6,6 +6,7 @@ request waits until the host has the next item of the driver, and the driver nee
 Settings are the query ``settings``, and parameters of the node, ``settings.<name>``, for the tools of ROS 2.
 """
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -22,6 +23,8 @@ from rpod_schemas.config.driver import DriverConfig, Setting
 from rpod_schemas.control import Accepted, SettingsReply, SettingsRequest
 from rpod_schemas.control import Empty as NoFields
 
+log = logging.getLogger(__name__)
+
 _ANSWER_S = 3.0
 """Longest wait of a request for the host: a driver yields an item at least once a second."""
 
@@ -32,7 +35,9 @@ class Commands:
     def __init__(self, node: Node, driver: Any, config: DriverConfig) -> None:
         self._driver, self._name = driver, config.name
         self._timeout_s = config.trigger_timeout_s
-        self._wanted: dict[str, Setting] = dict(config.settings)
+        self._configured: dict[str, Setting] = dict(config.settings)
+        self._changed: dict[str, Setting] = {}
+        """Settings that an operator has changed, in the order in which they were written last."""
         self._asked: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = SimpleQueue()
         self._triggers_s: deque[float] = deque()
         self.trigger_missed = 0
@@ -42,16 +47,34 @@ class Commands:
         node.serve("trigger", NoFields, lambda _: self._run_in_driver(self._trigger))
 
     def restore(self) -> None:
-        """Write the wanted settings to a device that has just been connected.
+        """Write the settings to a device that has just been connected: the configuration's, then the changes.
+
+        Changes that the device does not take now are logged and dropped: a connection does not fail for them.
 
         Raises:
             NotSupportedError: settings are configured, but the driver has none.
         """
         self._triggers_s.clear()
-        if self._wanted:
-            self._adjustable().apply(dict(self._wanted))
+        if self._configured:
+            self._adjustable().apply(dict(self._configured))
+        if self._changed:
+            self._restore_changes(self._adjustable())
         if isinstance(self._driver, Adjustable):
             self._offer(dict(self._driver.settings()))
+
+    def _restore_changes(self, device: Adjustable) -> None:
+        try:
+            device.apply(dict(self._changed))
+        except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
+            device.settings()  # raises if the device itself has failed; then the changes are kept
+            log.error(
+                "%s: the settings that were changed while it ran (%s) cannot be written again: %s; those of "
+                "the configuration count now, change them again",
+                self._name,
+                ", ".join(self._changed),
+                str(error) or type(error).__name__,
+            )
+            self._changed.clear()
 
     def serve(self, *, got_frame: bool) -> None:
         """Answer the requests, and check the triggers; called by the host between two items."""
@@ -90,7 +113,9 @@ class Commands:
         device = self._adjustable()
         if request.settings:
             device.apply(request.settings)
-            self._wanted |= request.settings
+            for name, value in request.settings.items():
+                self._changed.pop(name, None)
+                self._changed[name] = value
         return SettingsReply(settings=dict(device.settings()))
 
     def _settings(self, request: SettingsRequest) -> SettingsReply:

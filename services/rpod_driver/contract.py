@@ -21,7 +21,7 @@ import pytest
 
 from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import observed_node
-from rpod_driver.ports import Adjustable, Counted, Drops, Synchronised
+from rpod_driver.ports import Adjustable, Counted, Drops, Paced, Synchronised
 from rpod_runtime.process.awake import TickingClock
 from rpod_runtime.sensors import open_publisher
 from rpod_schemas.poses import make_pose
@@ -86,6 +86,8 @@ class DriverContract:
                 assert isinstance(driver.sync(), SensorSync)
             if isinstance(driver, Counted):
                 assert isinstance(driver.drops(), Drops)
+            if isinstance(driver, Paced):
+                assert isinstance(driver.due_s(), float)
             assert clock.now_s() - asked_s < _AT_ONCE_S
 
     def test_settings_can_be_written_as_they_were_read(self, driver: Any) -> None:

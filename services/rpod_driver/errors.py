@@ -16,6 +16,13 @@ class SilentSensorError(DriverError):
         super().__init__(f"no frame for {silence_s:.1f} s; check the sensor's power and connection")
 
 
+class StoppedError(DriverError):
+    """A driver was stopped before its device was open; it is no fault."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(f"the driver of {sensor!r} was stopped before its device was open")
+
+
 class WrongKindError(DriverError):
     """The driver delivers frames, or an info, of another kind than configured."""
 
@@ -30,7 +37,7 @@ class MissingSdkError(DriverError):
     """The library of a device is not installed, or cannot be loaded."""
 
     def __init__(self, driver: str, reason: str, needs: str) -> None:
-        super().__init__(f"the driver {driver!r} cannot load its device's library ({reason}); {needs}")
+        super().__init__(f"the driver {driver!r} cannot load a library that it needs ({reason}); {needs}")
 
 
 class RecordingError(DriverError):

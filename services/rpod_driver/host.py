@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from rpod_driver.commands import Commands
-from rpod_driver.errors import DriverError, SilentSensorError, WrongKindError
-from rpod_driver.ports import Counted, Driver, Synchronised
+from rpod_driver.errors import DriverError, SilentSensorError, StoppedError, WrongKindError
+from rpod_driver.ports import Counted, Driver, Paced, Stoppable, Synchronised
 from rpod_runtime import Node
 from rpod_runtime.process import lifecycle
 from rpod_runtime.process.notify import manager
@@ -77,6 +77,8 @@ class Host:
         self._trouble = ""
         self._retry_s = config.retry_s
         self.finished = False
+        if isinstance(driver, Stoppable):
+            driver.take_stop(node.stop)
 
     def serve_connection(self) -> None:
         """Connect and publish until the source ends, the sensor fails, or a stop; wait after a failure."""
@@ -87,6 +89,8 @@ class Host:
                 self._publish_all(self._driver.frames())
             finally:
                 self._driver.close()
+        except StoppedError as error:
+            log.info("%s", error)
         except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
             self._recover(error)
 
@@ -107,10 +111,15 @@ class Host:
             self._commands.serve(got_frame=frame is not None)
             if frame is not None:
                 self._publish(frame)
-            elif (silence_s := time.monotonic() - self._heard_s) > self._config.silence_s:
+            elif (silence_s := self._silence_s()) > self._config.silence_s:
                 raise SilentSensorError(silence_s)
         self.finished = True
         log.info("the source has ended")
+
+    def _silence_s(self) -> float:
+        """Return the time without a frame, s, without a pause that the driver has announced."""
+        due_s = self._driver.due_s() if isinstance(self._driver, Paced) else self._heard_s
+        return time.monotonic() - max(self._heard_s, due_s)
 
     def _publish(self, frame: SensorFrame) -> None:
         self._heard_s = time.monotonic()
@@ -156,7 +165,7 @@ class Host:
             return Health.ERROR, self._trouble
         if self.finished:
             return Health.OK, "the source has ended"
-        if age_s > self._config.silence_s:
+        if self._silence_s() > self._config.silence_s:
             return Health.ERROR, f"no frame for {age_s:.1f} s"
         if not self._arrivals_s:
             return Health.WARN, "no frame yet"

@@ -1,6 +1,7 @@
 """The ports of drivers. Emulator, recording and real device are equal behind them."""
 
 from collections.abc import Iterator, Mapping
+from threading import Event
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from rpod_schemas.config.driver import Setting
@@ -43,8 +44,9 @@ class Synchronised(Protocol):
 class Adjustable(Protocol):
     """A driver with settings; a driver need not be one.
 
-    The host applies the configured settings after each ``connect``, before the first frame, and those that an
-    operator changed since. So a device that forgets them with its power gets them back.
+    The host applies the configured settings after each ``connect``, before the first frame, and then those
+    that an operator changed since, in the order of their last changes. So a device that forgets them with its
+    power gets them back.
     """
 
     def settings(self) -> Mapping[str, Setting]:
@@ -87,6 +89,35 @@ class Counted(Protocol):
 
     def drops(self) -> Drops:
         """Return the counts now; called each second, it must return at once."""
+        ...
+
+
+@runtime_checkable
+class Stoppable(Protocol):
+    """A driver that waits for long in ``connect``; a driver need not be one."""
+
+    def take_stop(self, stop: Event) -> None:
+        """Take the event that is set when the driver has to end; called once, before the first ``connect``.
+
+        ``connect`` looks at it at least once a second while it waits, calls ``manager.alive()`` of
+        ``rpod_runtime.process.notify`` as often, and raises ``StoppedError`` when the event is set.
+        """
+        ...
+
+
+@runtime_checkable
+class Paced(Protocol):
+    """A driver that knows when its next frame is due, as a player or one that triggers; a driver need not be.
+
+    A pause that it announces is no silence: the host counts from the time at which the frame was due.
+    """
+
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock; called often, it must return at once.
+
+        Return only what is certain, and a time that has passed if the next frame is not known to be later: a
+        frame that does not come after this time is a fault.
+        """
         ...
 
 

@@ -33,8 +33,18 @@ class Adapter:
     """Command that installs its libraries, as ``pip install 'rpod[ifm]'``; empty if nothing."""
 
     def open(self, config: DriverConfig) -> Driver:
-        """Return the driver; the device is not connected yet. Raises ``DriverError``."""
-        built: Driver = resolve(self.build)(config)
+        """Return the driver; the device is not connected yet.
+
+        Raises:
+            MissingSdkError: a library that the driver's own module imports is not installed.
+            DriverError: the driver cannot be made of this configuration.
+        """
+        try:
+            build = resolve(self.build)
+        except ModuleNotFoundError as error:
+            needs = self.needs or "install the libraries of the package that brings the driver"
+            raise MissingSdkError(self.name, str(error), needs) from error
+        built: Driver = build(config)
         return built
 
 

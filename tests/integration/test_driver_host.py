@@ -17,7 +17,7 @@ from facility_process import until
 from ros_client import RosClient, assignment, parameters
 
 import rpod_driver
-from rpod_driver import DriverError, Drops, run
+from rpod_driver import DriverError, Drops, StoppedError, run
 from rpod_runtime import Inbox
 from rpod_runtime.errors import QueryFailedError
 from rpod_schemas.config.driver import DriverConfig
@@ -253,6 +253,53 @@ def test_a_silent_sensor_is_an_error_and_connected_again(bus):
     assert told.level is Health.ERROR
     assert "no frame for" in told.message
     assert driver.opened == driver.closed >= 2
+
+
+class Pausing(Scripted):
+    """A player whose two frames are half a second apart."""
+
+    due = 0.0
+
+    def frames(self):
+        yield frame(1)
+        pause, self.due = Event(), monotonic() + 0.5
+        while monotonic() < self.due:
+            pause.wait(0.02)
+            yield None
+        yield frame(2)
+        if self.opened == 1:
+            yield from silent()
+
+    def due_s(self):
+        return self.due
+
+
+def test_an_announced_pause_is_no_silence_but_what_does_not_come_after_it_is(bus):
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), DIAGNOSTICS)
+    driver = Pausing()
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", silence_s=0.2, retry_s=0.1)
+    with hosted(driver, config):
+        receiver.until(lambda got: len(got["pmd/depth/image_raw"]) == 4)
+        told = receiver.diagnostic(lambda item: item.message == "the source has ended")
+    assert (driver.opened, told.values["failures/pmd"]) == (2, "1")
+
+
+def test_a_driver_that_is_stopped_while_it_opens_its_device_ends_without_an_error(bus, caplog):
+    opening = Event()
+
+    class Slow(Scripted):
+        def take_stop(self, stop):
+            self.stop = stop
+
+        def connect(self):
+            opening.set()
+            assert self.stop.wait(TIMEOUT_S)
+            raise StoppedError("pmd")
+
+    config = DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=30.0)
+    with hosted(Slow(silent), config):
+        assert opening.wait(TIMEOUT_S)
+    assert not [each for each in caplog.records if each.levelname == "ERROR"]
 
 
 def test_a_driver_that_hangs_in_its_device_is_told(bus):

@@ -28,6 +28,7 @@ from rpod_schemas.messages.health import (
     write_validity,
 )
 from rpod_schemas.messages.images import (
+    is_measured,
     pixel_format,
     read_amplitude,
     read_camera,
@@ -52,6 +53,7 @@ from rpod_schemas.rmw.cdr import NANOSECONDS
 __all__ = [
     "NANOSECONDS",
     "build",
+    "is_measured",
     "pixel_format",
     "read_amplitude",
     "read_camera",

@@ -72,6 +72,12 @@ _LARGEST = 65535
 """Largest value of a pixel of 16 bits."""
 
 
+def is_measured(counts: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which pixels of a depth image of 16 bits hold a depth: 0 and 65535 mean that there is none."""
+    measured: NDArray[np.bool_] = (counts > 0) & (counts < _LARGEST)
+    return measured
+
+
 def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]:
     """Return the depth, m, shape (height, width), of an image.
 
@@ -87,8 +93,9 @@ def read_depth(message: Any, unit_m: float | None = None) -> NDArray[np.float32]
     """
     image = read_image(message)
     if message.encoding in ("16UC1", "mono16"):
-        measured = (image > 0) & (image < _LARGEST)
-        image = np.where(measured, image.astype(np.float32) * np.float32(unit_m or 1e-3), np.float32(np.nan))
+        image = np.where(
+            is_measured(image), image.astype(np.float32) * np.float32(unit_m or 1e-3), np.float32(np.nan)
+        )
     elif message.encoding != "32FC1":
         raise MessageRejectedError(Reason.WRONG_TYPE, f"depth in {message.encoding}, needs 32FC1 or 16UC1")
     elif unit_m is not None:

@@ -106,11 +106,17 @@ def _relative_s(
     relative = most - least >= _LEAST_SPREAD * max(abs(least), abs(most))
     for unit_s in _UNITS_S[-1:] if integers else _UNITS_S:
         if relative and max(abs(least), abs(most)) * unit_s <= _LONGEST_S:
-            return (times * unit_s).astype(np.float32)
+            return _of_returns((times * unit_s).astype(np.float32), returned)
         stamp = stamp_ns / NANOSECONDS / unit_s
         if max(abs(least - stamp), abs(most - stamp)) * unit_s <= RETURN_TIME_S.high:
-            return ((times - stamp) * unit_s).astype(np.float32)
+            return _of_returns(((times - stamp) * unit_s).astype(np.float32), returned)
     return None
+
+
+def _of_returns(time_s: NDArray[np.float32], returned: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return times, s, NaN where a ray without a return has none: drivers fill such points with zeros."""
+    inside = (time_s >= RETURN_TIME_S.low) & (time_s <= RETURN_TIME_S.high)
+    return np.where(returned | inside, time_s, np.float32(np.nan))
 
 
 def write_points(stamp_ns: int, frame_id: str, fields: dict[str, NDArray[np.float32]]) -> Any:

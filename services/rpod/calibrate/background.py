@@ -24,13 +24,16 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
     sensors, found = {}, {}
     try:
         with open_log(logs[0]) as log:
-            for name, background in learned_backgrounds(log).items():
+            learned = learned_backgrounds(log)
+            for name, background in learned.backgrounds.items():
                 file = out.with_name(f"{out.stem}-{name}.npz")
                 background.write(file)
                 sensors[name] = {"background": file.name}
                 known_share = float((background.range_m > 0.0).mean())
                 found[name] = {"frames": background.frames, "known_share": known_share}
             print_unreadable("rpod calibrate background", log)
+            for name, reason in learned.left_out.items():
+                print(f"rpod calibrate background: {name!r} has no background: {reason}", file=sys.stderr)
             if next(iter(log.odometry(TRUTH)), None) is not None:
                 print(
                     f"rpod calibrate background: {logs[0].name}: the log has truth; a target in view "
@@ -41,7 +44,7 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
     except (AnalysisError, KnownSurroundingsError, OSError) as error:
         return failed("calibrate background", error)
     if as_json:
-        print(json.dumps({"file": str(out), "sensors": found}, indent=2))
+        print(json.dumps({"file": str(out), "sensors": found, "left_out": learned.left_out}, indent=2))
         return EXIT_OK
     for name, told in found.items():
         print(f"{name}: {told['frames']} frames, {told['known_share']:.0%} of the pixels have a background")

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -17,13 +18,14 @@ from rpod.errors import failed
 from rpod_driver.check import CheckResult, Level, Observations, Observer, Options, judge
 from rpod_driver.check.live import watch
 from rpod_driver.check.surface import Surface
+from rpod_driver.registered import adapters
 from rpod_runtime import BusError, Node
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_OK, EXIT_USAGE
-from rpod_schemas.config.base import Config, Name, check, load, read_document
+from rpod_schemas.config.base import Config, Name, check, read_document
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
-from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.errors import ConfigurationError, SchemaError
 
 _SILENCE = "silence"
 """Fault of a sensor from which no frame arrived."""
@@ -62,7 +64,7 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
             surface=Surface.of(target) if target else None,
             against=_prefix(options),
         )
-    except ConfigurationError as error:
+    except SchemaError as error:
         return failed("driver check", error)
     for name, value in (("duration", duration_s), ("rate", options.rate_hz)):
         if value is not None and not 0.0 < value < inf:
@@ -94,7 +96,7 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
 
 def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     if options.config:
-        driver = load(DriverConfig, options.config)
+        driver = driver_of(options.config, options.kind)
     else:
         kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
@@ -102,6 +104,35 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     bus = driver.bus.model_dump() | {"wait": options.wait}
     bus |= {"connect": options.connect} if options.connect else {}
     return driver, check(BusConfig, bus, source="rpod driver check")
+
+
+def driver_of(file: Path, kind: str | None = None) -> DriverConfig:
+    """Return kind, name and bus of the configuration of any driver, with or without ``device``.
+
+    Args:
+        file: configuration for ``rpod driver run``, or for a driver of one's own.
+        kind: kind of the sensor, if the file names none; else it is that of the driver that accepts the file.
+
+    Raises:
+        ConfigurationError: the file cannot be read, a field is wrong, or nothing tells the kind.
+    """
+    document = read_document(file)
+    facts = {field: document[field] for field in ("kind", "name", "bus") if field in document}
+    if "kind" not in facts:
+        facts["kind"] = kind or _kind_by_adapters(document, file)
+    return check(DriverConfig, facts, source=file)
+
+
+def _kind_by_adapters(document: dict[str, Any], file: Path) -> str:
+    kinds: dict[str, list[str]] = {}
+    for each in adapters():
+        with suppress(ConfigurationError):
+            kinds.setdefault(check(each.config, document, source=file).kind, []).append(each.name)
+    if len(kinds) == 1:
+        return next(iter(kinds))
+    fitting = " and ".join(f"{', '.join(names)} ({kind})" for kind, names in kinds.items())
+    reason = f"drivers of several kinds accept the file: {fitting}" if kinds else "no driver accepts the file"
+    raise ConfigurationError(file, "kind", f"is missing, and {reason}; write it there, or give --kind")
 
 
 def _source(path: Path | None) -> SourceConfig:

@@ -26,6 +26,8 @@ from rpod_schemas.config.pmd.depth_calibration import (
 
 _ORDER = 4
 _FURTHER_ORDERS = (2, 8)
+_SAME_PERIOD = 0.01
+"""Relative difference of two periods below which the distances do not tell their waves apart."""
 _PARTS = 8
 """Number of parts of a wave, all of which must be covered."""
 _LEAST_IN_PART = 100
@@ -38,7 +40,11 @@ _ROUNDS = 20
 _LEAST_NOISE_M = 0.01
 """Least noise in the weight of a pixel, m: below it the remaining errors are systematic."""
 _BLOCK = 10
-"""Number of successive frames that count as one in standard errors, since they share unmodelled errors."""
+"""Number of successive frames that count as one in standard errors, since they share unmodelled errors; fewer
+where there would be too few blocks."""
+_SINGULAR = 1e-12
+_BLOCKS = 3
+"""Least number of blocks for each parameter: the scatter of fewer says little of its error."""
 _SIGNIFICANT = 4.0
 """Least amplitude of a further wave, in standard errors."""
 _WORTH_M = 0.5e-3
@@ -73,19 +79,16 @@ def fit(samples: DepthSamples) -> DepthCalibration:
     """Return the calibration fitted to the errors of the pixels.
 
     Raises:
-        CalibrationError: the distances do not cover the waves of fourth order.
+        CalibrationError: the distances do not cover the waves of fourth order, or there are too few frames.
     """
     orders = [(hertz, _ORDER) for hertz in samples.modulation_frequency_hz]
     for hertz, order in orders:
         _require_coverage(samples, hertz, order)
-    further = [
-        (hertz, order)
-        for hertz in samples.modulation_frequency_hz
-        for order in _FURTHER_ORDERS
-        if _parts_covered(samples.true_m, hertz, order) == _PARTS
-        and not any(np.isclose(hertz * order, known * waves) for known, waves in orders)
-    ]
-    candidate = _fit(samples, orders + further)
+    further = _further_waves(samples, orders)
+    try:
+        candidate = _fit(samples, orders + further)
+    except CalibrationError:  # too few frames for so many waves
+        further, candidate = [], _fit(samples, orders)
     kept = [
         (wave.modulation_frequency_hz, wave.order)
         for wave in candidate.harmonics[len(orders) :]
@@ -93,6 +96,23 @@ def fit(samples: DepthSamples) -> DepthCalibration:
     ]
     calibration = candidate if len(kept) == len(further) else _fit(samples, orders + kept)
     return calibration.model_copy(update={"evidence": evidence(samples, calibration)})
+
+
+def _further_waves(samples: DepthSamples, orders: list[tuple[float, int]]) -> list[tuple[float, int]]:
+    """Return the further waves that the distances cover, as (Hz, order), each period once.
+
+    Frequencies at a ratio of 2 or 4 have waves in common.
+    """
+    further: list[tuple[float, int]] = []
+    for hertz in samples.modulation_frequency_hz:
+        for order in _FURTHER_ORDERS:
+            taken = any(
+                np.isclose(hertz * order, known * waves, rtol=_SAME_PERIOD)
+                for known, waves in orders + further
+            )
+            if not taken and _parts_covered(samples.true_m, hertz, order) == _PARTS:
+                further.append((hertz, order))
+    return further
 
 
 def range_bins(samples: DepthSamples, calibration: DepthCalibration) -> list[RangeBin]:
@@ -182,8 +202,9 @@ def _fit(samples: DepthSamples, orders: Sequence[tuple[float, int]]) -> DepthCal
             for wave in (np.cos, np.sin)
         ]
     )
-    values, weights = _solve(design, samples.error_m, samples.true_m)
-    sigma = _standard_errors(design, weights, samples.error_m - design @ values, samples.frame // _BLOCK)
+    values, weights, slopes = _solve(design, samples.error_m, samples.true_m)
+    scores = design * (weights * (samples.error_m - design @ values))[:, None]
+    sigma = _standard_errors(design, scores, slopes, _blocks(samples, design.shape[1]))
     return DepthCalibration(
         modulation_frequency_hz=samples.modulation_frequency_hz,
         offset_m=float(values[0]),
@@ -201,35 +222,81 @@ def _fit(samples: DepthSamples, orders: Sequence[tuple[float, int]]) -> DepthCal
     )
 
 
-def _solve(design: FloatArray, error_m: FloatArray, true_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients and weights of a regression with Tukey's biweight, iteratively reweighted.
+def _solve(
+    design: FloatArray, error_m: FloatArray, true_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the coefficients of a regression with Tukey's biweight, iteratively reweighted.
 
-    Noise grows with the distance, so residuals are divided by the robust spread at their range.
+    Noise grows with the distance, so residuals are divided by the robust spread at their range. The other
+    two results are of each pixel, shape (N,): its weight psi(r) / r, and the slope psi'(r), which may be
+    negative.
     """
     weights: FloatArray = (np.abs(error_m - np.median(error_m)) < _GATE_M).astype(np.float64)
     number = np.unique(_bin_of(true_m), return_inverse=True)[1]
-    values = np.zeros(design.shape[1])
+    values, slopes = np.zeros(design.shape[1]), weights
     for _ in range(_ROUNDS):
         root = np.sqrt(weights)
         values[:] = np.linalg.lstsq(root[:, None] * design, root * error_m)[0]
         residual = error_m - design @ values
         spread = np.array([_robust_sigma(residual[number == index]) for index in range(number.max() + 1)])
         sigma = np.maximum(spread, _LEAST_NOISE_M)[number]
-        weights = (np.maximum(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0) * _LEAST_NOISE_M / sigma) ** 2
-    return values, weights
+        left = np.maximum(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0)
+        certain = (_LEAST_NOISE_M / sigma) ** 2
+        weights, slopes = certain * left**2, certain * left * (5.0 * left - 4.0)
+    return values, weights, slopes
+
+
+def _blocks(samples: DepthSamples, parameters: int) -> IntArray:
+    """Return the number of each pixel's block of successive frames, from 0, shape (N,).
+
+    Raises:
+        CalibrationError: there are no more frames than parameters.
+    """
+    frames, rank = np.unique(samples.frame, return_inverse=True)
+    if frames.size <= parameters:
+        raise CalibrationError(
+            f"{frames.size} frames show faces of the target, the errors of {parameters} values follow from "
+            f"more than {parameters} frames: log for longer"
+        )
+    length = min(max(frames.size // (_BLOCKS * parameters), 1), _BLOCK)
+    return (rank // length).astype(np.int64)
 
 
 def _standard_errors(
-    design: FloatArray, weights: FloatArray, residual: FloatArray, block: IntArray
+    design: FloatArray, scores: FloatArray, slopes: FloatArray, block: IntArray
 ) -> FloatArray:
-    """Return the standard errors: the sandwich over blocks of frames (Liang and Zeger, 1986)."""
-    blocks, member = np.unique(block, return_inverse=True)
-    scores = np.zeros((blocks.size, design.shape[1]))
-    np.add.at(scores, member, design * (weights * residual)[:, None])
-    bread = np.linalg.inv(design.T @ (weights[:, None] * design))
-    correction = blocks.size / max(blocks.size - 1, 1)
-    variance: FloatArray = correction * np.diag(bread @ scores.T @ scores @ bread)
-    return np.sqrt(variance)
+    """Return the standard errors: a jackknife over blocks of frames, by one step of Newton for each block.
+
+    With many blocks this is the sandwich (Liang and Zeger, 1986) with psi' in the bread (Huber, 1981, section
+    6.3). With few blocks the sandwich is too small, since each block pulls the fit to its own errors.
+
+    Args:
+        design: derivatives of the errors by the parameters, shape (N, P).
+        scores: rows of the design times psi of the residuals, shape (N, P).
+        slopes: psi' of the residuals, shape (N,).
+        block: number of each pixel's block, from 0, shape (N,).
+
+    Raises:
+        CalibrationError: a block alone determines a parameter.
+    """
+    number = int(block.max()) + 1
+    pull = np.array([np.bincount(block, column, minlength=number) for column in scores.T]).T
+    curvature = np.stack(
+        [
+            design[here].T @ (slopes[here][:, None] * design[here])
+            for here in (block == each for each in range(number))
+        ]
+    )
+    rest = curvature.sum(axis=0) - curvature
+    certain = np.linalg.eigvalsh(rest)
+    if certain.min() <= _SINGULAR * certain.max():
+        raise CalibrationError(
+            "a part of the frames alone determines a wave, so that its error is unknown: log for longer, "
+            "with each distance at several times"
+        )
+    moved = np.linalg.solve(rest, pull[..., None])[..., 0]
+    spread: FloatArray = ((moved - moved.mean(axis=0)) ** 2).sum(axis=0)
+    return np.sqrt((number - 1) / number * spread)
 
 
 def _robust_sigma(values: FloatArray) -> float:

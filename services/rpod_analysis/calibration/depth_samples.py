@@ -19,7 +19,7 @@ from rpod_analysis.errors import CalibrationError, NoTruthError
 from rpod_analysis.log import Log
 from rpod_analysis.log.sensors import configured_sensors, pmd_frames, pmd_info
 from rpod_analysis.log.targets import logged_targets
-from rpod_analysis.scoring.score import BoolArray, Track, interpolate
+from rpod_analysis.scoring.score import BoolArray, Track, calibration_gap_ns, interpolate
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
@@ -105,9 +105,7 @@ def _of_log(log: Log, camera: str) -> DepthSamples:
     except DistortionError as error:
         raise CalibrationError(f"{name}: {error}") from error
     if not pixels:
-        raise CalibrationError(
-            f"{name}: no frame of {camera!r} shows a face of the target at the true pose; check the mount"
-        )
+        raise CalibrationError(f"{name}: {reference.why_nothing(camera)}")
     number, true_m, error_m = zip(*pixels, strict=True)
     return DepthSamples(
         modulation_frequency_hz=frequencies_hz,
@@ -174,11 +172,15 @@ class _Reference:
         one = len(frequencies_hz) == 1  # with two frequencies, the camera has unwrapped the distances
         self._interval_m = unambiguous_range_m(frequencies_hz[0]) if one else np.inf
         self._seen: tuple[Camera, RayGrid] | None = None
+        self._most_gap_ns = calibration_gap_ns(truth)
+        self._frames = self._without_truth = 0
 
     def compare(self, frame: PmdFrame) -> tuple[FloatArray, FloatArray] | None:
         """Return true distance and error of a frame's usable pixels; None without such pixels or truth."""
-        poses, known = interpolate(self._truth, np.array([frame.stamp_ns]))
+        poses, known = interpolate(self._truth, np.array([frame.stamp_ns]), self._most_gap_ns)
+        self._frames += 1
         if not known[0]:
+            self._without_truth += 1
             return None
         rays = self._rays(frame.camera)
         T_sensor_target = self._T_sensor_chaser * poses[0]
@@ -192,6 +194,20 @@ class _Reference:
         if np.isfinite(self._interval_m):
             error_m -= self._interval_m * np.rint(error_m / self._interval_m)
         return true_m, error_m
+
+    def why_nothing(self, camera: str) -> str:
+        """Return why none of the frames so far contributed."""
+        if not self._frames:
+            return f"no complete frame of {camera!r}; log its depth and its camera_info"
+        between = (
+            f"{self._without_truth} of its {self._frames} frames are not between two poses of the truth at "
+            f"most {self._most_gap_ns / 1e6:.0f} ms apart"
+        )
+        if self._without_truth == self._frames:
+            remedy = "log the truth without gaps and by the same clock"
+            return f"no frame of {camera!r} has truth: {between}; {remedy}"
+        told = f" ({between})" if self._without_truth else ""
+        return f"no frame of {camera!r} shows a face of the target at the true pose{told}; check the mount"
 
     def _rays(self, camera: Camera) -> RayGrid:
         if self._seen is None or repr(self._seen[0]) != repr(camera):

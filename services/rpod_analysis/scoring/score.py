@@ -18,6 +18,8 @@ BoolArray = NDArray[np.bool_]
 
 MAX_TRUTH_GAP_NS = 8_000_000
 """Largest gap between two neighbours in the truth; estimates in a longer gap are not scored."""
+MOST_GAP = 2.5
+"""Longest gap in the truth in which a calibration interpolates it, in its usual intervals."""
 NEES_95 = {6: 12.59, 5: 11.07, 3: 7.81}
 """95 % quantile of chi-squared, by its degrees of freedom: six, five with a free axis, three of a sphere."""
 OFF_TARGET_RAD = math.radians(10.0)
@@ -86,11 +88,24 @@ class Errors:
         )
 
 
-def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolArray]:
+def calibration_gap_ns(truth: Track) -> int:
+    """Return the longest gap in the truth in which a calibration interpolates it, ns.
+
+    A calibration takes what truth there is: 2.5 of its usual intervals, so that one pose may be missing, but
+    no less than in scoring.
+    """
+    steps_ns = np.diff(np.unique(truth.stamp_ns))
+    usual_ns = float(np.median(steps_ns)) if steps_ns.size else 0.0
+    return max(round(MOST_GAP * usual_ns), MAX_TRUTH_GAP_NS)
+
+
+def interpolate(
+    truth: Track, stamp_ns: IntArray, most_gap_ns: int = MAX_TRUTH_GAP_NS
+) -> tuple[RigidTransform, BoolArray]:
     """Return the truth at N stamps, and at which of them it is known, shape (N,); other poses are not valid.
 
     Between neighbours, rotations are interpolated by Slerp and translations linearly. The truth is known at
-    its own stamps and between neighbours at most 8 ms apart, but not beyond its ends.
+    its own stamps and between neighbours at most ``most_gap_ns`` apart (8 ms), but not beyond its ends.
     """
     known_ns, first = np.unique(truth.stamp_ns, return_index=True)
     if known_ns.size == 0:
@@ -106,7 +121,7 @@ def interpolate(truth: Track, stamp_ns: IntArray) -> tuple[RigidTransform, BoolA
     turn = (a.rotation.inv() * b.rotation).as_rotvec()
     rotation = a.rotation * Rotation.from_rotvec(share * turn)
     translation = a.translation + share * (b.translation - a.translation)
-    known = exact | (inside & (gap_ns <= MAX_TRUTH_GAP_NS))
+    known = exact | (inside & (gap_ns <= most_gap_ns))
     return RigidTransform.from_components(translation, rotation), known
 
 

@@ -23,6 +23,7 @@ from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
     NANOSECONDS,
+    is_measured,
     read_camera,
     read_diagnostics,
     read_image,
@@ -315,7 +316,7 @@ def middle_m(raw: NDArray[Any], encoding: str, unit_m: float | None = None) -> f
     ``unit_m`` is the length of one unit of a depth image, where it is not that of its encoding.
     """
     if encoding in ("16UC1", "mono16"):
-        values: NDArray[Any] = raw[raw > 0] * (unit_m or 1e-3)
+        values: NDArray[Any] = raw[is_measured(raw)] * (unit_m or 1e-3)
     elif encoding:
         values = raw[np.isfinite(raw) & (raw > 0)] if raw.dtype.kind == "f" else np.zeros(0)
         values = values * (unit_m or 1.0)

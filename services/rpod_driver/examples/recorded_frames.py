@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rpod_driver import main
-from rpod_driver.pauses import paused_until
+from rpod_driver.pauses import Pauses
 from rpod_schemas.types import Camera, PmdFrame
 
 
@@ -16,6 +16,7 @@ class RecordedFrames:
 
     def __init__(self, path: str) -> None:
         self._path = path
+        self._pauses = Pauses()
 
     def connect(self) -> None:
         """Open the file."""
@@ -28,9 +29,13 @@ class RecordedFrames:
         camera = Camera(height=depths_m.shape[1], width=depths_m.shape[2], fx=fx, fy=fy, cx=cx, cy=cy)
         stamps_ns = stamps_ns - stamps_ns[0] + time.time_ns()
         for stamp_ns, depth_m, amplitude in zip(stamps_ns.tolist(), depths_m, amplitudes, strict=True):
-            yield from paused_until(time.monotonic() + (stamp_ns - time.time_ns()) * 1e-9)
+            yield from self._pauses.until(time.monotonic() + (stamp_ns - time.time_ns()) * 1e-9)
             optical = {"stamp_ns": stamp_ns, "frame_id": "pmd_optical", "camera": camera}
             yield PmdFrame(depth_m=depth_m, amplitude=amplitude, **optical)
+
+    def due_s(self) -> float:
+        """Return when the next frame is due: a gap of the recording is no silence of a device."""
+        return self._pauses.due_s
 
     def close(self) -> None:
         """Close the file."""

@@ -7,7 +7,8 @@ bytes of arrays, one after the other, little-endian and C-contiguous::
      "arrays": [{"name": "depth_m", "dtype": "<f4", "shape": [3, 4]}]}
 
 Kinds of messages: ``info`` (the first one; the device is open), ``frame``, ``idle`` (no frame came, all is
-well), ``error`` (field ``text``; the process ends), ``end`` (the source has ended).
+well; a player sends the time to its next frame as ``pause_s``, s), ``error`` (field ``text``; the process
+ends), ``end`` (the source has ended).
 """
 
 import json

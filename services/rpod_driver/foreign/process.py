@@ -1,25 +1,31 @@
 """The host's side of a driver process: start, frames, time-outs, errors, end."""
 
 import logging
+import math
 import os
 import signal
 import subprocess
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, BinaryIO, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from rpod_driver.errors import ForeignDriverError
+from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
 from rpod_driver.foreign.config import ForeignEnvironment
 from rpod_driver.stamps import StampMapper
+from rpod_runtime.process.notify import manager
 from rpod_runtime.process.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
 
 log = logging.getLogger(__name__)
@@ -28,6 +34,8 @@ _TAIL_LINES = 10
 _WAITING = 2
 """Number of messages that wait for the host; then the pipe is full, and the device's library drops."""
 _POLL_S = 0.5
+_TURN_S = 0.25
+"""Longest time in which a stop is not noticed while the device is opened, s."""
 _END_S = 2.0
 """Time in which a process ends after its input was closed, s."""
 _INHERITED = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "CONDA_PREFIX")
@@ -51,6 +59,7 @@ class ForeignDriver:
         self._shown = f"{environment.python} {script.name}"
         self._process: subprocess.Popen[bytes] | None = None
         self._partial = 0
+        self._stop = Event()
         self._begin()
 
     def _begin(self) -> None:
@@ -58,12 +67,18 @@ class ForeignDriver:
         self._messages: Queue[frame_pipe.Message | Exception | None] = Queue(_WAITING)
         self._tail: deque[str] = deque(maxlen=_TAIL_LINES)
         self._common: dict[str, Any] = {}
+        self._due_s = -math.inf
+
+    def take_stop(self, stop: Event) -> None:
+        """Take the event that ends the wait for the device."""
+        self._stop = stop
 
     def connect(self) -> LidarInfo | PmdInfo | None:
         """Start the process and wait until its device is open.
 
         Raises:
             ForeignDriverError: it cannot be started, ends, or does not open its device in time.
+            StoppedError: the driver was stopped meanwhile.
         """
         self._begin()
         environment = {name: value for name, value in os.environ.items() if name not in _INHERITED}
@@ -89,7 +104,7 @@ class ForeignDriver:
         for thread in self._threads:
             thread.start()
         try:
-            return self._info(self._next(self._environment.start_s))
+            return self._info(self._first())
         except BaseException:
             self.close()
             raise
@@ -100,6 +115,8 @@ class ForeignDriver:
             message = self._next(_POLL_S)
             if message is not None and message.kind == "end":
                 return
+            if message is not None and message.kind == "idle":
+                self._announce(message.fields.get("pause_s", 0.0))
             framed = message is not None and message.kind == "frame"
             yield self._frame(message) if framed and message else None
 
@@ -120,11 +137,26 @@ class ForeignDriver:
         cast(BinaryIO, process.stdout).close()
         cast(BinaryIO, process.stderr).close()
 
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock, as the process announced it."""
+        return self._due_s
+
     def sync(self) -> SensorSync:
         """Return where the stamps come from."""
         return self._stamps.sync
 
     # --- messages ---
+
+    def _first(self) -> frame_pipe.Message | None:
+        """Return the first message, None if none came within ``start_s``."""
+        end_s = time.monotonic() + self._environment.start_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            if self._stop.is_set():
+                raise StoppedError(self._name)
+            manager.alive()
+            if (message := self._next(min(left_s, _TURN_S))) is not None:
+                return message
+        return None
 
     def _next(self, timeout_s: float) -> frame_pipe.Message | None:
         """Return the next message, None if none came in time. Raises ``ForeignDriverError``."""
@@ -173,7 +205,7 @@ class ForeignDriver:
         device_ns, partial = fields.pop("stamp_ns", None), fields.pop("partial", "")
         if partial:
             self._log_partial(str(partial))
-        stamp_ns = self._stamps.utc_ns(device_ns)
+        stamp_ns = self._stamps.utc_ns(device_ns, after_ns=_after_ns(message.arrays.get("time_s")))
         made: SensorFrame = self._checked(
             _FRAME, {"frame_id": "", **fields, **message.arrays, "stamp_ns": stamp_ns}
         )
@@ -193,6 +225,13 @@ class ForeignDriver:
             raise ForeignDriverError(
                 self._shown, f"sends no {model.__name__}: {field}: {first['msg']}"
             ) from error
+
+    def _announce(self, pause_s: object) -> None:
+        if not isinstance(pause_s, int | float) or not 0.0 <= pause_s < math.inf:
+            raise ForeignDriverError(
+                self._shown, f"sends idle with pause_s {pause_s!r}; send a number of seconds from 0"
+            )
+        self._due_s = time.monotonic() + pause_s
 
     def _log_partial(self, what: str) -> None:
         self._partial += 1
@@ -218,3 +257,9 @@ class ForeignDriver:
             text = line.decode(errors="replace").rstrip()
             self._tail.append(text)
             log.info("%s: process: %s", self._name, text)
+
+
+def _after_ns(time_s: NDArray[Any] | None) -> int:
+    """Return the time from a scan's stamp to its last point, ns; 0 for frames without times of points."""
+    timed = np.empty(0) if time_s is None else time_s[np.isfinite(time_s)]
+    return round(float(timed.max()) * NANOSECONDS) if timed.size else 0

@@ -32,7 +32,7 @@ from rpod.driver.check import show
 from rpod_driver.check import CheckResult, Level, Observer, Options, judge
 from rpod_driver.check.content import partial
 from rpod_driver.check.geometry import Fitted, checked_mount, fitted
-from rpod_driver.check.observations import Kept, Observations
+from rpod_driver.check.observations import Kept, Observations, middle_m
 from rpod_driver.check.setup import instant
 from rpod_driver.check.sightings import sightings_of
 from rpod_driver.host import error_line
@@ -281,6 +281,14 @@ def test_a_frame_with_wrong_values_is_told_in_one_line_with_what_it_needs():
 def test_a_result_becomes_json():
     results = [each.model_dump(mode="json") for each in wall_camera(duration_s=3.0)]
     assert json.loads(json.dumps(results, allow_nan=False)) == results
+
+
+def test_pixels_of_16_bits_without_a_depth_are_no_distances():
+    raw = np.full((4, 4), 2000, np.uint16)
+    raw[0] = 0
+    raw[1:] = 65535
+    raw[1, 0] = 2000
+    assert middle_m(raw, "16UC1") == 2.0
 
 
 def test_the_catalogue_names_lines_of_the_check():

@@ -6,9 +6,11 @@ import json
 import os
 import struct
 import sys
+import time
 import tomllib
 from contextlib import closing
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rpod_driver.adapters.process import ProcessConfig, open_driver
-from rpod_driver.errors import ForeignDriverError
+from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
 
 ROOT = Path(__file__).parents[3]
@@ -124,6 +126,7 @@ def test_a_process_that_crashes_is_told_with_its_last_words():
         ("tell", "says: the sensor is too hot"),
         ("garbage", "something else writes there"),
         ("early", "begins with 'frame'"),
+        ("pausing_for_ever", "sends idle with pause_s 'for ever'; send a number of seconds"),
         ("wrong", "sends no PmdFrame: camera"),
         ("no_such_thing", "KeyError: 'no_such_thing'"),
     ],
@@ -134,6 +137,23 @@ def test_an_error_of_the_process_is_told(does, reason):
 
 def test_a_process_that_does_not_open_its_device_is_ended_in_time():
     assert "did not open its device within 0.5 s (device.start_s)" in failure("hang", start_s=0.5)
+
+
+@pytest.mark.timeout(60)
+def test_a_stop_ends_the_wait_for_the_device_and_the_watchdog_is_told_meanwhile(monkeypatch):
+    stop, beats = Event(), []
+
+    def alive():
+        beats.append(1)
+        if len(beats) == 2:
+            stop.set()
+
+    monkeypatch.setattr("rpod_driver.foreign.process.manager.alive", alive)
+    opened = driver("hang", start_s=600.0)
+    opened.take_stop(stop)
+    with pytest.raises(StoppedError, match="'front' was stopped before its device was open"):
+        opened.connect()
+    assert len(beats) == 2
 
 
 def test_an_interpreter_that_is_not_there_is_named():
@@ -151,6 +171,18 @@ def test_a_silent_device_is_told_as_none_and_its_process_ends_with_the_host(tmp_
     opened.close()  # nothing is left to close
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
+
+
+def test_a_pause_that_the_process_announces_is_told_to_the_host():
+    opened = driver("pausing")
+    opened.connect()
+    with closing(opened):
+        got = opened.frames()
+        assert next(got) is not None
+        assert opened.due_s() < time.monotonic()
+        assert next(got) is None
+        assert 0.5 < opened.due_s() - time.monotonic() <= 1.5
+        assert sum(frame is not None for frame in got) == 1
 
 
 @pytest.mark.timeout(30)
@@ -185,6 +217,12 @@ def test_the_base_install_has_no_library_of_a_device():
     in_base = [*project["dependencies"], *extras["all"], *extras["analysis"], *extras["view"]]
     assert not [line for line in in_base if any(name in line for name in libraries)]
     assert not [line for lines in extras.values() for line in lines if "ouster" in line]
+
+
+def test_the_stamp_of_a_scan_is_mapped_by_the_arrival_of_its_last_point():
+    begun_ns = time.time_ns()
+    (got,) = frames("scan", kind="lidar")
+    assert begun_ns <= got.stamp_ns + 4_000_000_000 <= time.time_ns()
 
 
 def test_partial_scans_are_told_and_not_for_each(caplog):

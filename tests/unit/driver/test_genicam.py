@@ -2,6 +2,7 @@
 
 from itertools import islice
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -88,7 +89,9 @@ def test_of_interleaved_coordinates_the_third_is_depth():
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"Scan3dOutputMode": "DisparityC"}, "DisparityC, in which C is no z-depth"),
+        ({"Scan3dOutputMode": "DisparityC"}, "DisparityC, which is no z-depth in an image"),
+        ({"Scan3dOutputMode": "RectifiedC"}, "RectifiedC, which"),
+        ({"Scan3dOutputMode": "CalibratedABC_PointCloud"}, "CalibratedABC_PointCloud, which"),
         ({"Scan3dOutputMode": "UncalibratedC"}, "UncalibratedC"),
         ({"Scan3dCoordinateSystem": "Spherical"}, "Spherical"),
         ({"Scan3dDistanceUnit": "Pixel"}, "Pixel, known are Millimeter"),
@@ -102,8 +105,8 @@ def test_coordinates_that_are_no_depth_are_refused(changed, reason):
 def test_amplitude_and_confidence_are_found_by_their_formats():
     parts = [component("Confidence8", COUNTS > 5), component("Mono12", COUNTS)]
     assert amplitude_of(parts).dtype == np.uint16
-    assert np.array_equal(confident(parts, (3, 4)), COUNTS > 5)
-    assert confident([], (3, 4)).all()
+    assert np.array_equal(confident(parts), COUNTS > 5)
+    assert confident([]) is None
 
 
 def test_a_software_trigger_starts_each_frame_and_one_without_a_frame_is_counted(tmp_path):
@@ -129,6 +132,58 @@ def test_a_hardware_trigger_names_its_input(tmp_path):
     assert nodes.TriggerSource.value == "Line2"
     assert next(driver.frames()) is None
     assert not nodes.executed
+
+
+@pytest.mark.parametrize(
+    ("settings", "mode"), [({}, "Off"), ({"TriggerMode": "On"}, "On"), ([{"TriggerMode": "On"}], "On")]
+)
+def test_without_a_trigger_one_that_was_left_in_the_camera_is_ended(tmp_path, settings, mode):
+    nodes = Nodes(**SCAN | {"TriggerSelector": "AcquisitionStart", "TriggerMode": "On"})
+    nodes.TriggerSelector.symbolics = ["AcquisitionStart", "FrameStart"]
+    faked(nodes, [], tmp_path, settings=settings).connect()
+    assert nodes.TriggerMode.value == mode
+    assert nodes.TriggerSelector.value == ("FrameStart" if mode == "Off" else "AcquisitionStart")
+
+
+def test_off_of_a_yaml_file_is_a_word_where_the_feature_takes_words(tmp_path):
+    nodes = Nodes(**SCAN | {"ExposureAuto": "Once", "ReverseX": True, "GainAuto": "Once"})
+    nodes.ExposureAuto.symbolics = nodes.GainAuto.symbolics = ["Off", "On", "Once"]
+    settings = {"ExposureAuto": False, "GainAuto": True, "ReverseX": False}
+    driver = faked(nodes, [], tmp_path, settings=settings)
+    driver.connect()
+    assert (nodes.ExposureAuto.value, nodes.GainAuto.value, nodes.ReverseX.value) == ("Off", "On", False)
+    driver.apply({"GainAuto": False})
+    assert nodes.GainAuto.value == "Off"
+
+
+def test_a_list_of_settings_writes_a_selector_again(tmp_path):
+    class Selected(Nodes):
+        enabled: ClassVar[list] = []
+
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "ComponentEnable":
+                nodes = self
+                kind = type("Enable", (), {"value": property(None, lambda _, on: nodes.enable(on))})
+                self.__dict__[name] = kind()
+
+        def enable(self, on):
+            self.enabled.append((self.ComponentSelector.value, on))
+
+    nodes = Selected(**SCAN | {"ComponentSelector": "", "ComponentEnable": False})
+    parts = [{"ComponentSelector": part, "ComponentEnable": True} for part in ("Range", "Confidence")]
+    faked(nodes, [], tmp_path, settings=parts).connect()
+    assert nodes.enabled == [("Range", True), ("Confidence", True)]
+
+
+def test_a_confidence_of_another_size_is_told_once_and_left_out(tmp_path, caplog):
+    buffers = [Buffer(), Buffer()]
+    for buffer in buffers:
+        buffer.payload.components.append(component("Confidence8", np.zeros(4), 2, 2))
+    driver = faked(Nodes(**SCAN), buffers, tmp_path)
+    driver.connect()
+    assert all(np.isfinite(frame.depth_m).all() for frame in islice(driver.frames(), 2))
+    assert caplog.text.count("the confidence is (2, 2), the depth (3, 4): it is left out") == 1
 
 
 def test_a_buffer_is_given_back_also_where_it_cannot_be_used(tmp_path):

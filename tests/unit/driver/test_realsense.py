@@ -1,5 +1,6 @@
 """A RealSense camera, by the software device of its SDK: no device is needed."""
 
+import time
 from itertools import islice
 from types import SimpleNamespace
 
@@ -49,10 +50,22 @@ def test_the_stamp_is_moved_from_the_readout_to_the_middle_of_the_exposure():
     metadata = {values.frame_timestamp: 5_008_000, values.sensor_timestamp: 5_000_000}
     depth = SimpleNamespace(
         timestamp=UTC_MS,
+        frame_timestamp_domain=rs.timestamp_domain.global_time,
         supports_frame_metadata=metadata.__contains__,
         get_frame_metadata=metadata.__getitem__,
     )
     assert driver()._middle_ns(depth) == round(UTC_MS * 1e6) - 8_000_000
+
+
+def test_a_stamp_of_the_arrival_is_not_taken_for_the_device_s(software):
+    opened = driver(stamps={"source": "auto", "delay_s": 0.02})
+    begun_ns = time.time_ns()
+    for number in range(3):
+        images = np.full(SHAPE, 1000, np.uint16), np.full(SHAPE, 77, np.uint8)
+        software.send(number, *images, domain=rs.timestamp_domain.system_time)
+    frame = next(each for each in islice(opened.read(software.stream), 6) if each is not None)
+    assert begun_ns <= frame.stamp_ns + 20_000_000 <= time.time_ns()
+    assert opened.sync().stamp_source == "host"
 
 
 def test_a_distorted_depth_stream_is_refused():
@@ -93,6 +106,17 @@ def test_options_change_while_it_runs_all_or_none_and_automatic_exposure_is_writ
     with pytest.raises(DriverError, match=r"exposure is 500(\.0)?, the camera takes 1 to 100"):
         opened.apply({"enable_auto_exposure": 0, "exposure": 500})
     assert opened.settings()["enable_auto_exposure"] == 1.0
+
+
+def test_where_the_sdk_refuses_an_option_the_others_get_their_former_values():
+    sdk = FakeSdk()
+    opened = RealsenseCamera(RealsenseConfig(name="front"), sdk)
+    opened.connect()
+    opened.apply({"enable_auto_exposure": 1, "exposure": 9})
+    sdk.refused = rs.option.enable_auto_exposure
+    with pytest.raises(RuntimeError, match="hwmon"):
+        opened.apply({"exposure": 20, "enable_auto_exposure": 0})
+    assert opened.settings() == {"exposure": 9.0, "enable_auto_exposure": 1.0}
 
 
 @pytest.mark.parametrize(

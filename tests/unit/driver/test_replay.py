@@ -1,5 +1,6 @@
 """A recording as a sensor: each form is played at its pace, and what is left out is told."""
 
+import sys
 import time
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.driver import open_driver
-from rpod_driver.errors import RecordingError
+from rpod_driver.errors import MissingSdkError, RecordingError
 from rpod_geometry.lens import ray_cosines
 from rpod_schemas.messages import write_camera, write_image, write_lidar_info, write_pmd_info, write_points
+from rpod_schemas.registry import resolve
 from rpod_schemas.rmw.cdr import encode, typestore
 from rpod_schemas.types import Camera, LidarInfo, PmdInfo
 
@@ -42,10 +44,16 @@ def written(folder: Path, plugin: StoragePlugin, messages) -> Path:
     return folder
 
 
-def camera_messages(count=4, *, depth_topic="/front/depth/image_raw", info_topic="/front/camera_info"):
+def camera_messages(
+    count=4,
+    *,
+    depth_topic="/front/depth/image_raw",
+    info_topic="/front/camera_info",
+    period_ns=PERIOD_NS,
+):
     yield "/front/info", write_pmd_info(START_NS, "front_optical", INFO), START_NS
     for number in range(count):
-        stamp_ns = START_NS + number * PERIOD_NS
+        stamp_ns = START_NS + number * period_ns
         yield info_topic, write_camera(stamp_ns, "front_optical", CAMERA), stamp_ns
         image = write_image(stamp_ns, "front_optical", depth(number), "32FC1")
         yield depth_topic, image, stamp_ns
@@ -118,6 +126,19 @@ def test_a_repeated_recording_goes_on_in_time(tmp_path):
     assert (steps == PERIOD_NS // 100).all()
 
 
+def test_a_gap_of_the_recording_is_announced_until_its_end(tmp_path):
+    first, second = camera_messages(2, period_ns=70 * 10**9), None
+    opened = driver(bag=written(tmp_path / "bag", StoragePlugin.MCAP, first))
+    opened.connect()
+    assert opened.due_s() < time.monotonic()
+    for frame in opened.frames():
+        if frame is None:
+            assert 0.0 <= opened.due_s() - time.monotonic() < 0.7
+            second = opened.due_s()
+    assert second is not None
+    assert opened.due_s() < time.monotonic()
+
+
 def test_what_is_left_out_is_told_with_the_reason(tmp_path, caplog):
     messages = list(camera_messages(4))
     messages[4] = (
@@ -151,7 +172,7 @@ def test_what_is_no_recording_is_refused(tmp_path, content):
 def images(folder: Path, **changes):
     for number in range(3):
         counts = np.full((6, 8), 1000 * (number + 1), np.uint16)
-        counts[0, 0] = 0
+        counts[0, 0], counts[0, 1] = 0, 65535
         cv2.imwrite(str(folder / f"depth_{number}.png"), counts)
         cv2.imwrite(str(folder / f"grey_{number}.png"), np.full((6, 8), number, np.uint8))
     lens = {"width": 8, "height": 6, "fx": 6.0, "fy": 6.0, "cx": 3.5, "cy": 2.5}
@@ -161,7 +182,7 @@ def images(folder: Path, **changes):
 def test_a_folder_of_images_is_a_camera(tmp_path):
     frames = played(driver(images=images(tmp_path, amplitude="grey_*.png"), speed=1.0))
     assert [float(frame.depth_m[1, 1]) for frame in frames] == [1.0, 2.0, 3.0]
-    assert np.isnan(frames[0].depth_m[0, 0])
+    assert np.isnan(frames[0].depth_m[0, :2]).all()
     assert [int(frame.amplitude[0, 0]) for frame in frames] == [0, 1, 2]
     assert np.diff([frame.stamp_ns for frame in frames]).tolist() == [PERIOD_NS] * 2
 
@@ -176,6 +197,14 @@ def test_a_frame_of_a_real_stereo_camera_is_played():
 def test_radial_images_become_z_depth(tmp_path):
     frames = played(driver(images=images(tmp_path, radial=True, metres_per_count=0.002)))
     assert np.allclose(frames[0].depth_m[1:], 2.0 * ray_cosines(CAMERA)[1:], rtol=1e-6)
+
+
+def test_images_without_opencv_say_what_to_install(tmp_path, monkeypatch):
+    given = images(tmp_path)
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    resolve.cache_clear()
+    with pytest.raises(MissingSdkError, match=r"images need pip install 'rpod\[estimator\]'"):
+        driver(images=given)
 
 
 @pytest.mark.parametrize(

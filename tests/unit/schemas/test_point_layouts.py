@@ -103,6 +103,20 @@ def test_an_unorganised_cloud_stays_so():
 
 
 @pytest.mark.parametrize("layout", ["hesai", "livox"])
+def test_rays_without_a_return_that_are_filled_with_zeros_have_no_time(layout):
+    times = LAYOUTS[layout][3].copy()
+    times[1] = 0.0
+    message = cloud(layout, values=times)
+    empty = slice(message.point_step, message.point_step + 12)  # x, y and z of the second point
+    data = np.array(message.data)
+    data[empty] = 0
+    message.data = data
+    fields = read_points(message)
+    np.testing.assert_array_equal(np.isnan(fields["t"].ravel()), np.arange(6) == 1)
+    np.testing.assert_allclose(fields["t"].ravel()[2:], SINCE_S[2:], atol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["hesai", "livox"])
 def test_times_of_another_clock_are_left_out_not_refused(layout):
     message = cloud(layout, values=np.full(6, 8.5e5 * (1e9 if layout == "livox" else 1.0)))
     assert "t" not in read_points(message)

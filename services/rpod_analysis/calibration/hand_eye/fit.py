@@ -36,6 +36,7 @@ from rpod_analysis.calibration.hand_eye.start import (
     relative_motions,
 )
 from rpod_analysis.errors import CalibrationError
+from rpod_analysis.scoring.score import MOST_GAP
 from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 
 _ROUNDS = 20
@@ -47,8 +48,6 @@ _MEDIAN_OF_6 = 5.348
 _SETTLED = 1e-7
 """Greatest step of a parameter, m, rad or s, at which the fit has converged."""
 _LEAST_PAIRS = 30
-_MOST_GAP = 2.5
-"""Longest gap in the truth in which it is interpolated, in its usual intervals."""
 
 
 def fit_hand_eye(measured: StampedPoses, truth: StampedPoses, known: Assumptions | None = None) -> HandEye:
@@ -95,7 +94,7 @@ def _fit_from(
 def _fit_pairs(measured: StampedPoses, truth: StampedPoses, known: Assumptions, offset_s: float) -> HandEye:
     usual_s = 1e-9 * float(np.median(np.diff(truth.stamp_ns)))
     gaps_s = [truth.gap_s(measured.stamp_ns, -offset_s + shift_s) for shift_s in (-TWIST_S, 0.0, TWIST_S)]
-    kept = np.max(gaps_s, axis=0) <= _MOST_GAP * usual_s
+    kept = np.max(gaps_s, axis=0) <= MOST_GAP * usual_s
     if kept.sum() < _LEAST_PAIRS:
         raise CalibrationError(
             f"{int(kept.sum())} poses of the sensor have truth around them, needs {_LEAST_PAIRS}; the first "

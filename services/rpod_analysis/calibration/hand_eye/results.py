@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.calibration.hand_eye.logged import LoggedPoses
 from rpod_analysis.calibration.hand_eye.parameters import (
@@ -31,12 +31,16 @@ _MISFIT = 2.0
 _SIGNIFICANT = 3.0
 
 
+def mount_of(found: HandEye, poses: LoggedPoses) -> RigidTransform:
+    """Return the mount of the sensor's frame as its driver has it."""
+    boresight = pose_of(found.state.R_X, found.state.t_X)
+    return boresight * FORWARD_BORESIGHT.inv() if poses.source.axes == "forward" else boresight
+
+
 def mount_calibration(found: HandEye, poses: LoggedPoses, *, log: str) -> MountCalibration:
     """Return the mount's file; the mount is that of the sensor's frame as its driver has it."""
-    boresight = pose_of(found.state.R_X, found.state.t_X)
-    forward = poses.source.axes == "forward"
     return MountCalibration(
-        T_chaser_sensor=boresight * FORWARD_BORESIGHT.inv() if forward else boresight,
+        T_chaser_sensor=mount_of(found, poses),
         evidence=MountEvidence(
             log=log,
             sensor=poses.sensor.name,
@@ -60,8 +64,9 @@ def clock_source(found: HandEye, poses: LoggedPoses) -> SourceConfig:
 
 
 def mount_findings(found: HandEye, poses: LoggedPoses) -> Iterator[str]:
-    """Yield the mount with its deviations, and its difference from that in the log."""
-    yield _pose_line("mount", found.state.R_X, found.state.t_X)
+    """Yield the mount of the file with its deviations, and its difference from that in the log."""
+    mount = mount_of(found, poses)
+    yield _pose_line("mount", mount.rotation.as_matrix(), mount.translation)
     yield _sigma_line(found, MOUNT_M, MOUNT_RAD, "chaser")
     before = poses.sensor.T_chaser_sensor
     if before is not None:

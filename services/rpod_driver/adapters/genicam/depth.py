@@ -10,8 +10,11 @@ from rpod_driver.adapters.genicam.features import FeatureError, read, write
 from rpod_schemas.types import Camera, Float32Array
 
 _METRES = {"Millimeter": 1e-3, "Meter": 1.0, "Inch": 0.0254}
-_Z_MODES = ("CalibratedABC_Grid", "CalibratedABC_PointCloud", "CalibratedC", "RectifiedC", "ProjectedC")
-"""Output modes in which coordinate C is the distance along z."""
+_Z_MODES = ("CalibratedABC_Grid", "CalibratedC", "ProjectedC")
+"""Output modes that are the image of a pinhole and in which coordinate C is the distance along z.
+
+SFNC 2.7.1: the rectified modes are sampled uniformly in X and Y, not along rays, and the points of
+``CalibratedABC_PointCloud`` have no place in an image."""
 _ENABLE = "set ComponentSelector: Range and ComponentEnable: true in device.settings"
 _C_PLANE = {"Coord3D_C8", "Coord3D_C16", "Coord3D_C32f"}
 _ABC = {"Coord3D_ABC8", "Coord3D_ABC16", "Coord3D_ABC32f"}
@@ -28,8 +31,8 @@ class Scan3d:
         unit = read(nodes, "Scan3dDistanceUnit")
         if mode not in (None, *_Z_MODES):
             raise FeatureError(
-                f"Scan3dOutputMode is {mode}, in which C is no z-depth; set one of {', '.join(_Z_MODES)} in "
-                "device.settings"
+                f"Scan3dOutputMode is {mode}, which is no z-depth in an image of a pinhole; set one of "
+                f"{', '.join(_Z_MODES)} in device.settings"
             )
         if system not in (None, "Cartesian"):
             raise FeatureError(
@@ -113,10 +116,10 @@ def amplitude_of(components: Iterable[Any]) -> NDArray[Any] | None:
     return None
 
 
-def confident(components: Iterable[Any], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the pixels that a confidence image does not refuse (0), all if there is none."""
+def confident(components: Iterable[Any]) -> NDArray[np.bool_] | None:
+    """Return the pixels that a confidence image does not refuse (0), shape (height, width); None without."""
     for each in components:
         if each.data_format in _CONFIDENCES:
             kept: NDArray[np.bool_] = np.asarray(each.data).reshape(each.height, each.width) > 0
             return kept
-    return np.ones(shape, np.bool_)
+    return None

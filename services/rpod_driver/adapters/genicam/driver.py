@@ -3,16 +3,18 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rpod_driver.adapters.genicam.config import GenicamConfig, GenicamDevice
 from rpod_driver.adapters.genicam.depth import Scan3d, amplitude_of, confident, depth_of
-from rpod_driver.adapters.genicam.features import execute, read, write, write_all
+from rpod_driver.adapters.genicam.features import execute, offers, read, write, write_all
 from rpod_driver.errors import DriverError
 from rpod_driver.gaps import GapCounter
-from rpod_driver.pauses import paused_until
+from rpod_driver.pauses import Pauses
 from rpod_driver.ports import Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
@@ -42,12 +44,13 @@ class GenicamCamera:
         self._acquirer: Any = None
         self._missed = 0
         self._gaps, self._underruns = GapCounter(), 0
-        self._named = dict.fromkeys([*config.device.settings, *_USUAL])
+        self._named = dict.fromkeys([*chain.from_iterable(config.device.settings), *_USUAL])
         self._begin()
 
     def _begin(self) -> None:
         self._stamps = StampMapper(self._name, self._device.stamps)
         self._told: set[str] = set()
+        self._pauses = Pauses()
         self._gaps.begin()
 
     def connect(self) -> None:
@@ -62,7 +65,7 @@ class GenicamCamera:
             self._harvester.update()
             self._acquirer = self._harvester.create(self._selected(self._harvester.device_info_list))
             self._nodes = self._acquirer.remote_device.node_map
-            for name, value in device.settings.items():
+            for name, value in chain.from_iterable(each.items() for each in device.settings):
                 write(self._nodes, name, value)
             self._set_trigger(device)
             self._acquirer.start()
@@ -90,7 +93,11 @@ class GenicamCamera:
                 buffer.queue()
             yield frame
             if software:
-                yield from paused_until(started_s + 1.0 / self._device.trigger_rate_hz)
+                yield from self._pauses.until(started_s + 1.0 / self._device.trigger_rate_hz)
+
+    def due_s(self) -> float:
+        """Return when the next software trigger is due, s of the monotonic clock."""
+        return self._pauses.due_s
 
     def trigger(self) -> None:
         """Ask for one frame by software. Raises ``FeatureError``."""
@@ -149,30 +156,50 @@ class GenicamCamera:
 
     def _set_trigger(self, device: GenicamDevice) -> None:
         if device.trigger == "none":
+            self._end_trigger(device)
             return
         source = "Software" if device.trigger == "software" else device.trigger_line
         wanted = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": source}
         for name, value in wanted.items():
             write(self._nodes, name, value)
 
+    def _end_trigger(self, device: GenicamDevice) -> None:
+        """End a trigger that another program, or an earlier start, left in the camera.
+
+        Where the settings themselves write TriggerMode, they count.
+        """
+        if any("TriggerMode" in each for each in device.settings):
+            return
+        if offers(self._nodes, "TriggerSelector", "FrameStart"):
+            write(self._nodes, "TriggerSelector", "FrameStart")
+        if read(self._nodes, "TriggerMode") not in (None, "Off"):
+            write(self._nodes, "TriggerMode", "Off")
+
     def _frame(self, buffer: Any) -> PmdFrame:
         components = list(buffer.payload.components)
         depth_m = depth_of(components, self._scan)
         height, width = depth_m.shape
-        amplitude = amplitude_of(components)
+        amplitude, kept = amplitude_of(components), confident(components)
         if amplitude is None:
             formats = ", ".join(each.data_format for each in components)
             self._log_once(f"no grey image among {formats}: frames have no amplitude")
-        elif amplitude.shape != depth_m.shape:
-            self._log_once(f"the intensity is {amplitude.shape}, the depth {depth_m.shape}: it is left out")
-            amplitude = None
+        amplitude = self._of_size(amplitude, "intensity", depth_m.shape)
+        if (kept := self._of_size(kept, "confidence", depth_m.shape)) is not None:
+            depth_m = np.where(kept, depth_m, np.float32(np.nan))
         return PmdFrame(
             stamp_ns=self._stamps.utc_ns(_stamp_ns(buffer)),
             frame_id="",
-            depth_m=np.where(confident(components, depth_m.shape), depth_m, np.float32(np.nan)),
+            depth_m=depth_m,
             amplitude=amplitude,
             camera=self._scan.camera(width, height),
         )
+
+    def _of_size(self, image: NDArray[Any] | None, what: str, shape: tuple[int, ...]) -> NDArray[Any] | None:
+        """Return an image if it has the size of the depth; it is logged once if it has not."""
+        if image is None or image.shape == shape:
+            return image
+        self._log_once(f"the {what} is {image.shape}, the depth {shape}: it is left out")
+        return None
 
     def _log_once(self, text: str) -> None:
         if text not in self._told:

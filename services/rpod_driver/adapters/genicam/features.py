@@ -15,10 +15,29 @@ def write(nodes: Any, name: str, value: Any) -> None:
     if not nodes.has_node(name):
         raise FeatureError(f"the camera has no feature {name!r}; look its name up in the camera's manual")
     try:
-        getattr(nodes, name).value = value
+        getattr(nodes, name).value = _symbolic(getattr(nodes, name), value)
     except Exception as error:  # genicam raises classes of compiled code without a common base
         limits = _limits(getattr(nodes, name))
         raise FeatureError(f"the camera refuses {name} = {value!r}{limits}: {_first_line(error)}") from error
+
+
+def _symbolic(node: Any, value: Any) -> Any:
+    """Return On or Off for a truth value of an enumeration: YAML reads ``ExposureAuto: Off`` as false."""
+    word = "On" if value else "Off"
+    return word if isinstance(value, bool) and word in _symbolics(node) else value
+
+
+def offers(nodes: Any, name: str, value: str) -> bool:
+    """Return whether the camera has an enumeration that takes a value."""
+    return bool(nodes.has_node(name)) and value in _symbolics(getattr(nodes, name))
+
+
+def _symbolics(node: Any) -> tuple[str, ...]:
+    """Return the values that an enumeration takes now; none of another feature."""
+    try:
+        return tuple(map(str, node.symbolics))
+    except Exception:  # noqa: BLE001 - not available now: a class of compiled code without a common base
+        return ()
 
 
 def write_all(nodes: Any, settings: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ from rpod_driver.adapters.ifm.frames import FrameMaker, IfmImages, images_of, mi
 from rpod_driver.adapters.ifm.settings import nested, scalars
 from rpod_driver.errors import DriverError, RecordingError
 from rpod_driver.gaps import GapCounter
-from rpod_driver.pauses import paused_until
+from rpod_driver.pauses import Pauses
 from rpod_driver.ports import Driver, Drops
 from rpod_driver.registered import sdk
 from rpod_driver.stamps import StampMapper
@@ -64,6 +64,7 @@ class RecordedIfm(_Head):
         stamps = config.device.stamps.model_copy(update={"source": "mapped"})
         device = config.device.model_copy(update={"stamps": stamps})
         super().__init__(config.model_copy(update={"device": device}))
+        self._pauses = Pauses()
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -78,6 +79,7 @@ class RecordedIfm(_Head):
     def connect(self) -> None:
         """Begin to play."""
         self._begin()
+        self._pauses = Pauses()
 
     def frames(self) -> Iterator[PmdFrame | None]:
         """Yield the frames at their rate. A frame that is played again has a later stamp."""
@@ -85,13 +87,17 @@ class RecordedIfm(_Head):
         first_ns = self._frames[0].stamp_ns
         total = len(self._frames) * self._device.repeat
         for number in range(total):
-            yield from paused_until(begun_s + number * period_s)
+            yield from self._pauses.until(begun_s + number * period_s)
             images = self._frames[number % len(self._frames)]
             played_ns = first_ns + round(number * period_s * 1e9)
             yield self._maker.frame(images, self._stamps.utc_ns(played_ns))
 
     def close(self) -> None:
         """Do nothing: the recording stays in memory."""
+
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock."""
+        return self._pauses.due_s
 
 
 class LiveIfm(_Head):

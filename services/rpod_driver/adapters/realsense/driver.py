@@ -1,6 +1,7 @@
 """The driver of RealSense cameras."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
@@ -106,13 +107,27 @@ class RealsenseCamera:
         }
 
     def apply(self, settings: Mapping[str, Setting]) -> None:
-        """Write options. Raises ``DriverError``; then none has changed."""
-        options = [_checked(self._module, self._sensor, name, value) for name, value in settings.items()]
-        for option, value in sorted(options, key=lambda each: each[0].name.startswith(_AUTOMATIC)):
-            self._sensor.set_option(option, value)
+        """Write options. Raises ``DriverError``, or what the SDK raises; then none has changed."""
+        sensor = self._sensor
+        options = [_checked(self._module, sensor, name, value) for name, value in settings.items()]
+        options.sort(key=lambda each: each[0].name.startswith(_AUTOMATIC))
+        before = [(option, sensor.get_option(option)) for option, _ in options]
+        try:
+            for option, value in options:
+                sensor.set_option(option, value)
+        except Exception:
+            for option, value in before:
+                with suppress(Exception):  # the first error is told
+                    sensor.set_option(option, value)
+            raise
 
-    def _middle_ns(self, depth: Any) -> int:
-        """Return the middle of the exposure, by the metadata; the stamp is of the beginning of readout."""
+    def _middle_ns(self, depth: Any) -> int | None:
+        """Return the middle of the exposure, by the metadata; the stamp is of the beginning of readout.
+
+        None if the stamp is that of the arrival, which the SDK gives where it has no metadata.
+        """
+        if depth.frame_timestamp_domain == self._module.timestamp_domain.system_time:
+            return None
         values = self._module.frame_metadata_value
         both = (values.frame_timestamp, values.sensor_timestamp)
         stamp_ns = round(float(depth.timestamp) * 1e6)

@@ -17,7 +17,7 @@ class Images(Config):
     folder: Path
     """Folder of the images; they are played in the order of their names."""
     depth: str = "*.png"
-    """Pattern of the depth images' names; 16 bits, one channel, 0 where there is no depth."""
+    """Pattern of the depth images' names; 16 bits, one channel, 0 or 65535 where there is no depth."""
     amplitude: str | None = None
     """Pattern of the amplitude images' names, as many as of depth; 8 or 16 bits, one channel."""
     metres_per_count: Positive = 0.001

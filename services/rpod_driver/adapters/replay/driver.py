@@ -7,14 +7,14 @@ from typing import Any
 from rpod_driver.adapters.replay.bag import Bag
 from rpod_driver.adapters.replay.config import ReplayConfig
 from rpod_driver.adapters.replay.images import ImageFolder
-from rpod_driver.pauses import paused_until
+from rpod_driver.pauses import Pauses
 from rpod_runtime.sensor_data.end_watch import last_of
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, SensorInfo, SensorSync
 
 
 def open_driver(config: ReplayConfig) -> "PlayedSensor":
-    """Return the driver. Raises ``RecordingError``."""
+    """Return the driver. Raises ``RecordingError``, ``MissingSdkError``."""
     device = config.device
     if device.images is not None:
         return PlayedSensor(config, ImageFolder(device.images))
@@ -27,9 +27,11 @@ class PlayedSensor:
 
     def __init__(self, config: ReplayConfig, recording: Bag | ImageFolder) -> None:
         self._recording, self._device = recording, config.device
+        self._pauses = Pauses()
 
     def connect(self) -> Any:
         """Return the recorded info, None if there is none."""
+        self._pauses = Pauses()
         return self._recording.info()
 
     def frames(self) -> Iterator[SensorFrame | None]:
@@ -45,7 +47,7 @@ class PlayedSensor:
                 last_ns = frame.stamp_ns
                 due_ns = begin_ns + round((frame.stamp_ns - first_ns) / self._device.speed)
                 left_s = (due_ns - time.time_ns()) / NANOSECONDS + _after_s(frame, stated_s)
-                yield from paused_until(time.monotonic() + left_s)
+                yield from self._pauses.until(time.monotonic() + left_s)
                 yield frame.model_copy(update={"stamp_ns": due_ns})
             if first_ns is not None and last_ns is not None:
                 length_ns = last_ns - first_ns + (step_ns or NANOSECONDS)
@@ -53,6 +55,10 @@ class PlayedSensor:
 
     def close(self) -> None:
         """Do nothing: the file is closed after each pass."""
+
+    def due_s(self) -> float:
+        """Return when the next frame is due, s of the monotonic clock, also in a gap of the recording."""
+        return self._pauses.due_s
 
     def sync(self) -> SensorSync:
         """Return that stamps are the recording's, moved to now."""

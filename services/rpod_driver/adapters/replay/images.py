@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from rpod_driver.adapters.replay.config import Images
 from rpod_driver.errors import RecordingError
+from rpod_driver.registered import sdk
 from rpod_geometry.lens import ray_cosines
-from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.messages import NANOSECONDS, is_measured
 from rpod_schemas.types import PmdFrame
 
 
@@ -18,8 +19,9 @@ class ImageFolder:
     """A camera whose frames are in a folder."""
 
     def __init__(self, images: Images) -> None:
-        """Find the images. Raises ``RecordingError``."""
+        """Find the images. Raises ``RecordingError``, ``MissingSdkError``."""
         self._images = images
+        self._cv2 = sdk("cv2", driver="replay", needs="images need pip install 'rpod[estimator]'")
         self._depths = sorted(images.folder.glob(images.depth))
         self._amplitudes = sorted(images.folder.glob(images.amplitude)) if images.amplitude else []
         if not self._depths:
@@ -43,7 +45,7 @@ class ImageFolder:
         amplitudes: list[Path | None] = [*self._amplitudes] or [None] * len(self._depths)
         for number, (depth, amplitude) in enumerate(zip(self._depths, amplitudes, strict=True)):
             counts = self._image(depth, ("uint16",))
-            metres = np.where(counts > 0, counts * self._factor, np.nan).astype(np.float32)
+            metres = np.where(is_measured(counts), counts * self._factor, np.nan).astype(np.float32)
             yield PmdFrame(
                 stamp_ns=round(number / self._images.rate_hz * NANOSECONDS),
                 frame_id="",
@@ -53,9 +55,7 @@ class ImageFolder:
             )
 
     def _image(self, file: Path, types: tuple[str, ...]) -> NDArray[Any]:
-        import cv2  # noqa: PLC0415 - only who plays images needs it
-
-        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        image: NDArray[Any] | None = self._cv2.imread(str(file), self._cv2.IMREAD_UNCHANGED)
         if image is None:
             raise RecordingError(file, "cannot be read as an image; remove it or write it again")
         size = (self._images.camera.height, self._images.camera.width)

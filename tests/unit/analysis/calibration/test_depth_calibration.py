@@ -1,6 +1,7 @@
 """Calibration from logs: what was put into the frames is found again, on other frames too."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,6 +42,15 @@ def inwards(time_s):
 def outwards(time_s):
     turn = Rotation.from_euler("ZYX", [40.0, 110.0 + 6.0 * time_s, -20.0], degrees=True)
     return make_pose(rotation=turn, translation_m=(-0.1, 0.1, 2.0 + 2.1 * time_s))
+
+
+def turned_away(_time_s):
+    return make_pose(translation_m=(0.0, 0.0, -5.0))
+
+
+def wall(_T_sensor_target, _number):
+    shape = PMD.camera.height, PMD.camera.width
+    return np.full(shape, 3.0, np.float32), np.full(shape, 900, np.uint16)
 
 
 def waiting(_time_s):
@@ -133,20 +143,33 @@ def test_logs_at_one_range_are_refused(tmp_path):
         ({"target": None}, "names the target"),
         ({"target": "no-such-target"}, "no-such-target"),
         ({"camera": FOLDED}, "the lens distortion has no inverse"),
-        ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' shows a face"),
+        ({"truth_gaps_s": ((-0.001, 9.0),)}, "no frame of 'pmd' has truth"),
+        (
+            {"pose": turned_away, "render": wall},
+            "no frame of 'pmd' shows a face of the target at the true pose; check",
+        ),
     ],
 )
 def test_a_log_that_lacks_something_is_refused_by_its_name(tmp_path, changes, reason):
-    path = write(tmp_path / "poor.mcap", inwards, seed=3, duration_s=0.2, **changes)
+    changes = {"pose": inwards} | changes
+    path = write(tmp_path / "poor.mcap", seed=3, duration_s=0.2, **changes)
     with pytest.raises(CalibrationError, match=reason) as caught:
         samples_of(path)
     assert "poor.mcap" in str(caught.value)
 
 
+@pytest.mark.parametrize("truth_rate_hz", [10.0, 100.0])
+def test_the_truth_may_come_at_any_rate(tmp_path, truth_rate_hz):
+    path = write(tmp_path / "slow.mcap", waiting, seed=3, duration_s=1.0, truth_rate_hz=truth_rate_hz)
+    assert samples_of(path).frames > 6
+
+
 # --- the fit alone ---
 
 
-def invented(*waves, count=20_000, offset_m=0.0, noise_m=0.01, hertz=(HERTZ,), seed=5, farthest_m=7.0):
+def invented(
+    *waves, count=20_000, offset_m=0.0, noise_m=0.01, hertz=(HERTZ,), seed=5, farthest_m=7.0, in_frame=100
+):
     rng = np.random.default_rng(seed)
     truth = DepthCalibration(modulation_frequency_hz=hertz, offset_m=offset_m, harmonics=waves)
     true_m = rng.uniform(1.5, farthest_m, count)
@@ -157,7 +180,7 @@ def invented(*waves, count=20_000, offset_m=0.0, noise_m=0.01, hertz=(HERTZ,), s
         logs=("invented",),
         true_m=true_m,
         error_m=error_m,
-        frame=np.arange(count) // 100,
+        frame=np.arange(count) // in_frame,
     )
 
 
@@ -175,11 +198,37 @@ def test_offset_and_all_waves_are_found_within_their_standard_errors():
         assert item.sin_m == pytest.approx(true.sin_m, abs=5.0 * item.sigma_m)
 
 
-def test_standard_errors_are_what_repeated_fits_scatter_by():
-    fits = [fit(invented(wave(4, 0.0, -0.03), count=1600, seed=seed)) for seed in range(20)]
-    scatter_m = np.std([found.harmonics[0].sin_m for found in fits])
-    told_m = np.mean([found.harmonics[0].sigma_m for found in fits])
-    assert 0.6 < scatter_m / told_m < 1.5
+@pytest.mark.parametrize(("count", "in_frame"), [(1600, 100), (4000, 20)])
+def test_standard_errors_are_what_repeated_fits_scatter_by(count, in_frame):
+    fits = [
+        fit(invented(wave(4, 0.0, -0.03), count=count, seed=seed, in_frame=in_frame)) for seed in range(40)
+    ]
+    over_sigma = [
+        error / sigma
+        for found in fits
+        for error, sigma in (
+            (found.offset_m, found.offset_sigma_m),
+            (found.harmonics[0].cos_m, found.harmonics[0].sigma_m),
+            (found.harmonics[0].sin_m + 0.03, found.harmonics[0].sigma_m),
+        )
+    ]
+    assert 0.8 < np.sqrt(np.mean(np.square(over_sigma))) < 1.15
+
+
+def test_too_few_frames_for_the_standard_errors_are_refused():
+    few = invented(wave(4, 0.0, -0.03), count=1600, in_frame=600)
+    with pytest.raises(CalibrationError, match="3 frames show faces of the target, the errors of 3 values"):
+        fit(few)
+    assert [item.order for item in fit(invented(wave(4, 0.0, -0.03), in_frame=4000)).harmonics] == [4]
+
+
+def test_frames_that_alone_determine_a_wave_are_refused():
+    samples = invented(wave(4, 0.0, -0.03), count=4000)
+    still = np.arange(4000) < 2000
+    samples.true_m[still] = 3.0
+    frame = np.where(still, np.arange(4000) // 200, 10)
+    with pytest.raises(CalibrationError, match="a part of the frames alone determines a wave"):
+        fit(replace(samples, frame=frame, error_m=np.zeros(4000)))
 
 
 def test_waves_that_are_not_there_are_left_out():
@@ -213,6 +262,16 @@ def test_a_frequency_and_its_half_share_waves_that_count_once():
     heights = {item.modulation_frequency_hz: item.sin_m for item in found.harmonics if item.order == 4}
     assert heights[15e6] == pytest.approx(-0.02, abs=1e-3)
     assert heights[30e6] == pytest.approx(-0.01, abs=1e-3)
+
+
+def test_two_frequencies_at_a_ratio_of_four_share_a_further_wave_that_counts_once():
+    hertz = HERTZ, 4.0 * HERTZ
+    waves = wave(4, 0.0, -0.02), wave(4, 0.0, -0.01, hertz[1]), wave(8, 0.0, 0.004)
+    found = fit(invented(*waves, hertz=hertz))
+    assert [(item.modulation_frequency_hz, item.order) for item in found.harmonics] == [
+        (hertz[0], 4), (hertz[1], 4), (hertz[0], 8),
+    ]  # fmt: skip
+    assert found.harmonics[2].sin_m == pytest.approx(0.004, abs=1e-3)
 
 
 def test_a_calibration_of_another_frequency_is_not_checked():
