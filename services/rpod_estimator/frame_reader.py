@@ -30,7 +30,10 @@ from rpod_schemas.sensors import SensorKind, sensor_kind
 from rpod_schemas.topics import TF_STATIC, Topic
 from rpod_schemas.types import Camera, SensorFrame, SensorInfo
 
-_IN_TIME = frozenset({Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED})
+_IN_TIME = frozenset({
+    Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED, Reason.OTHER_CAMERA,
+    Reason.OTHER_SETUP, Reason.UNKNOWN_FRAME,
+})  # fmt: skip
 """Reasons to refuse a frame that came in time and holds no measurement."""
 _MOST_DARK = 200
 """Number of measured pixels up to which an image of zeros beside them may be right: few, faint ones."""
@@ -258,7 +261,10 @@ class FrameReader:
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
             reader = self._sensors[sensor].reader
             inconsistency, hint = getattr(reader, "inconsistency", ""), getattr(reader, "hint", "")
-            defect = "; ".join(filter(None, (_defect(measurement.data), inconsistency)))
+            defect, unused = _defect(measurement.data)
+            if unused in type(measurement.data).model_fields:
+                measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
+            defect = "; ".join(filter(None, (defect, inconsistency)))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=hint)
         else:
             text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
@@ -295,10 +301,11 @@ def _shows_something(data: SensorFrame) -> bool:
     return len(data.returns_m) > 0
 
 
-def _defect(data: SensorFrame) -> str:
-    """Return which image beside the leading one has one value in all pixels, so that it is no measurement.
+def _defect(data: SensorFrame) -> tuple[str, str]:
+    """Return which image beside the leading one has one value in all pixels, and its name if it is not used.
 
-    A few zeros may be a measurement: the target may be too faint for the encoding.
+    A few zeros may be a measurement: the target may be too faint for the encoding. Any other value in all
+    pixels is none, and the frame is used without the image.
     """
     for image in data.images[1:]:
         first = image.values.flat[0]
@@ -306,9 +313,10 @@ def _defect(data: SensorFrame) -> str:
             continue
         told = f"all pixels of its {image.title} are {first}"
         if first > 0:
-            return f"{told}; correct its driver, or leave that topic out"
+            return f"{told}, so it is not used; correct its driver, or leave that topic out", image.title
         leading = data.images[0].values
         measured = int(np.count_nonzero(np.isfinite(leading) & (leading > 0)))
         if measured > _MOST_DARK:
-            return f"{told} although {measured} pixels have a range; correct its driver, or expose longer"
-    return ""
+            text = f"{told} although {measured} pixels have a range; correct its driver, or expose longer"
+            return text, ""
+    return "", ""

@@ -30,7 +30,9 @@ def modes_while(refused: Reason) -> list[Mode]:
     return modes
 
 
-@pytest.mark.parametrize("refused", [Reason.NOT_FINITE, Reason.EMPTY, Reason.FROZEN])
+@pytest.mark.parametrize(
+    "refused", [Reason.NOT_FINITE, Reason.EMPTY, Reason.FROZEN, Reason.OTHER_CAMERA, Reason.OTHER_SETUP]
+)
 def test_a_track_coasts_and_is_lost_while_no_frame_holds_a_measurement(refused):
     modes = modes_while(refused)
     assert Mode.TRACKING not in modes[3:]

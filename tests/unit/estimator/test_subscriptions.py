@@ -111,7 +111,15 @@ class Bench:
         self.node.sinks[topic](received)
 
     def send_frame(
-        self, stamp_ns, *, amplitude=True, frame_id="pmd_optical", camera=CAMERA, frozen=False, **how
+        self,
+        stamp_ns,
+        *,
+        amplitude=True,
+        shaded=True,
+        frame_id="pmd_optical",
+        camera=CAMERA,
+        frozen=False,
+        **how,
     ):
         if camera is not None:
             self.send(CAMERA_INFO.of("pmd"), write_camera(stamp_ns, frame_id, camera), **how)
@@ -122,7 +130,7 @@ class Bench:
             self._sent += 1
         self.send(DEPTH.of("pmd"), write_image(stamp_ns, frame_id, depth_m, "32FC1"), **how)
         if amplitude:
-            image = np.ones((4, 6), np.uint16)
+            image = np.arange(24, dtype=np.uint16).reshape(4, 6) if shaded else np.ones((4, 6), np.uint16)
             self.send(AMPLITUDE.of("pmd"), write_image(stamp_ns, frame_id, image, "mono16"), **how)
 
     def send_scan(self, stamp_ns, fields=None, *, frame_id="lidar", **how):
@@ -194,12 +202,15 @@ def test_the_third_frame_of_the_same_content_is_refused_as_frozen_until_another_
     assert arrived.measurement is not None
 
 
-def test_an_amplitude_that_is_the_same_everywhere_is_a_doubt_and_no_refusal():
+def test_an_amplitude_that_is_the_same_everywhere_is_told_and_its_frame_is_used_without_it():
     bench = Bench()
-    bench.send_frame(NOW_NS)
+    bench.send_frame(NOW_NS, shaded=False)
     (arrived,) = bench.arrived()
     assert arrived.measurement is not None
-    assert arrived.defect.startswith("all pixels of its amplitude are")
+    assert arrived.measurement.data.amplitude is None
+    assert arrived.defect.startswith(
+        "all pixels of its amplitude are 1, so it is not used; correct its driver"
+    )
 
 
 def test_an_amplitude_of_zeros_is_a_doubt_where_many_pixels_have_a_range():
@@ -208,7 +219,10 @@ def test_an_amplitude_of_zeros_is_a_doubt_where_many_pixels_have_a_range():
         depth_m.flat[:measured] = 3.0
         camera = CAMERA.model_copy(update={"width": 40, "height": 30})
         dark = np.zeros((30, 40), np.uint16)
-        return _defect(PmdFrame(stamp_ns=1, frame_id="c", depth_m=depth_m, amplitude=dark, camera=camera))
+        frame = PmdFrame(stamp_ns=1, frame_id="c", depth_m=depth_m, amplitude=dark, camera=camera)
+        told, unused = _defect(frame)
+        assert not unused
+        return told
 
     assert defect_of(200) == ""
     assert defect_of(300).endswith(
@@ -1113,7 +1127,7 @@ def test_topics_stamps_and_pairing_of_a_driver_are_configuration():
     sent_ns = NOW_NS + 37 * SECOND_NS
     bench.send(names["other/info"], write_camera(sent_ns, "c", CAMERA))
     bench.send(names["robot/cam/depth/image"], write_image(sent_ns, "c", DEPTH_M, "32FC1"))
-    image = np.ones((4, 6), np.uint16)
+    image = np.arange(24, dtype=np.uint16).reshape(4, 6)
     bench.send(names["robot/cam/ir/image"], write_image(sent_ns + 1_500_000, "c", image, "mono16"))
     (arrived,) = bench.arrived()
     assert (arrived.sensor, arrived.stamp_ns) == ("front", NOW_NS + 10_000_000)
