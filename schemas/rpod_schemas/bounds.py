@@ -88,7 +88,11 @@ SCAN_DIRECTIONS = Bound(
 )
 AZIMUTH_RAD = Bound(-2.0 * np.pi, 2.0 * np.pi, "rad", "one turn either way", "are they degrees?")
 ELEVATION_RAD = Bound(
-    -np.pi / 2.0, np.pi / 2.0, "rad", "from straight up to straight down", "are they degrees?"
+    -np.pi / 2.0,
+    np.pi / 2.0,
+    "rad",
+    "from straight up to straight down: elevation counts downwards",
+    "are they degrees?",
 )
 ANGLE_STEP_RAD = Bound(1e-6, 2.0 * np.pi, "rad", "no beam is narrower", "list each direction once")
 SCAN_TIME_S = Bound(0, 600, "s", "a target moves too much in a longer scan")

@@ -26,6 +26,7 @@ from rpod_runtime.sensor_data.scan_grid import (
     is_ahead,
     rows_are_elevation,
 )
+from rpod_runtime.sensor_data.stated_directions import SIGNS, compared_directions
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import (
@@ -204,7 +205,7 @@ class LidarReader:
         self._whole: LidarInfo | None = None
         self._front: LidarInfo | None = None
         self._seen_rows = True
-        self._shown = 0
+        self._shown = self._compared = 0
         self._empty = EmptyLines()
         self._inconsistencies: dict[str, str] = {}
         self._logged: set[str] = set()
@@ -238,6 +239,7 @@ class LidarReader:
         if info.azimuth_rad.size and info.elevation_rad.size:
             self._info = info
             self._inconsistencies.clear()
+            self._compared = 0
 
     def read(self, frame: Assembled[Received]) -> LidarScan:
         """Return a scan."""
@@ -272,7 +274,7 @@ class LidarReader:
             points_m = points_m.transpose(1, 0, 2)
             intensity, time_s = (None if each is None else each.T for each in (intensity, time_s))
         if points_m.ndim == 3:
-            self._compare_size(points_m.shape[:2])
+            self._compare(points_m)
             points_m, (intensity, time_s) = self._in_order(points_m, (intensity, time_s))
         return build(
             LidarScan,
@@ -300,17 +302,27 @@ class LidarReader:
             )
         return points_m, others
 
-    def _compare_size(self, found: tuple[int, ...]) -> None:
-        """Compare rows and columns of a scan with those of the published info."""
+    def _compare(self, points_m: Float32Array) -> None:
+        """Compare rows and columns of a scan, and their directions, with those of the published info."""
         if self._info is None:
             return
+        rows, columns = points_m.shape[:2]
         stated = self._info.elevation_rad.size, self._info.azimuth_rad.size
-        if found != stated:
+        if (rows, columns) != stated:
             self._note(
                 "size",
-                f"scans have {found[0]} x {found[1]} points, elevations by azimuths, the info states "
+                f"scans have {rows} x {columns} points, elevations by azimuths, the info states "
                 f"{stated[0]} x {stated[1]}; let the driver publish the info of its scan mode",
             )
+        elif self._compared < _SETTLED:
+            found = compared_directions(points_m, self._info)
+            self._compared += bool(found)
+            for name in (each.name for each in found if each.slope < 0.0):
+                self._note(
+                    name,
+                    f"{name}_rad of the info runs the other way than the points, so that no pose fits: let "
+                    f"the driver turn its sign; {SIGNS}",
+                )
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:
         """Return the orientation that the points show, else that of the info or of scans before."""

@@ -9,7 +9,8 @@ from rpod_driver.check.observations import Observations, Offer
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_runtime.sensor_data.extrinsics import MOST_LINKS, in_words
-from rpod_runtime.sensor_data.scan_grid import angles_of, rows_are_elevation
+from rpod_runtime.sensor_data.scan_grid import rows_are_elevation
+from rpod_runtime.sensor_data.stated_directions import SIGNS, compared_directions
 from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import CHASER, TF_STATIC
 from rpod_schemas.types import LidarInfo, LidarScan, SensorInfo
@@ -79,33 +80,12 @@ def grid(seen: Observations) -> CheckResult:
 
 def _pattern(raw: NDArray[Any], info: LidarInfo) -> CheckResult:
     """Check the directions of the points of a scan, shape (rows, columns, 3), against the stated ones."""
-    azimuth, elevation, returned = angles_of(raw)
-    figures = {}
-    for name, seen_rad, stated_rad, directions_rad in (
-        ("azimuth", azimuth, np.broadcast_to(info.azimuth_rad, azimuth.shape), info.azimuth_rad),
-        (
-            "elevation",
-            elevation,
-            np.broadcast_to(info.elevation_rad[:, None], elevation.shape),
-            info.elevation_rad,
-        ),
-    ):
-        if directions_rad.size < 2:
-            continue  # one row or one column has no spacing
-        stated, found = stated_rad[returned], seen_rad[returned]
-        turned = np.angle(np.exp(1j * (found - stated)))
-        slope = 1.0 + float(np.polyfit(stated - stated.mean(), turned, 1)[0]) if np.ptp(stated) else 1.0
-        step = float(np.median(np.abs(np.diff(directions_rad))))
-        figures[f"{name}_scale"] = slope
-        figures[f"{name}_offset_steps"] = float(np.median(turned)) / step
+    figures: dict[str, float] = {}
+    for name, slope, offset_steps in compared_directions(raw, info):
+        figures |= {f"{name}_scale": slope, f"{name}_offset_steps": offset_steps}
         if slope < 0.0:
-            return fail(
-                "grid",
-                f"{name} runs the other way than the info states",
-                "mirrored",
-                "wrong_pattern",
-                **figures,
-            )
+            text = f"{name} runs the other way than the info states; {SIGNS}"
+            return fail("grid", text, "mirrored", "wrong_pattern", **figures)
     text = ", ".join(f"{name} {value:.3f}" for name, value in figures.items())
     off = any(abs(value - 1.0) > _SLOPE for name, value in figures.items() if name.endswith("scale"))
     off |= any(abs(value) > _OFFSET_STEPS for name, value in figures.items() if name.endswith("steps"))

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from rpod_pose.pmd.fit import PmdFit, PmdFitter
@@ -19,7 +20,7 @@ from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.energy import NOTHING_IN_VIEW
 from rpod_pose.search.even_samples import sobol
 from rpod_pose.search.simpler_surface import Surface
-from rpod_pose.search.turns import Turns, matrices
+from rpod_pose.search.turns import Placed, Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdAcquisitionTuning
@@ -188,6 +189,20 @@ class FrameSearch:
         field = self._model.surface.coarse_field
         aligned = field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m)
         return min(self._fitted(*aligned), self._fitted(R, t), key=lambda one: one.fit.loss)
+
+    def turned(self, pose: Placed, left_out: NDArray[np.bool_]) -> list[Pose]:
+        """Return the turns of a pose that a search compares: the declared ones in place, the others aligned.
+
+        Args:
+            pose: a pose of the target.
+            left_out: which of ``Turns.compared`` are not asked for, shape (N,).
+        """
+        turns = self._model.turns
+        return [
+            self._fitted(R, pose.t) if number < turns.declared else self._field_aligned(R, pose.t)
+            for number, R in enumerate(pose.R @ turns.compared)
+            if not left_out[number]
+        ]
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose aligned with more of the points, or unchanged if that increases the loss."""

@@ -147,7 +147,7 @@ class ViewSearch:
             fitter = PmdFitter(tuning.model, self._model.shown, scene, known_materials=known_materials)
             search = FrameSearch(tuning, self._model, scene, fitter, partial(self._possible, measurement))
             poses = search.search(attitudes, around, poses)
-            found = self._verified(task, fitter, poses, known_materials=known_materials)
+            found = self._verified(task, search, fitter, poses, known_materials=known_materials)
             if found.outcome is not Outcome.FAILED:
                 return found
             failed = failed or found
@@ -155,7 +155,13 @@ class ViewSearch:
         return failed
 
     def _verified(
-        self, task: _Task, fitter: PmdFitter, poses: list[Pose], *, known_materials: bool
+        self,
+        task: _Task,
+        search: FrameSearch,
+        fitter: PmdFitter,
+        poses: list[Pose],
+        *,
+        known_materials: bool,
     ) -> Acquisition:
         """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
         tuning = self._tuning
@@ -170,7 +176,7 @@ class ViewSearch:
             if likely or not any(each.is_accepted for each in aligned):
                 aligned.append(self._aligned(task, fitter, pose, per_loss))
         if any(each.is_accepted for each in aligned):
-            turned = self._turned(task, fitter, aligned)
+            turned = self._turned(task, search, aligned)
             aligned += [self._aligned(task, fitter, pose, per_loss) for pose in turned]
         believed = [each for each in aligned if each.is_accepted]
         if not believed:
@@ -225,22 +231,22 @@ class ViewSearch:
         spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
         return spread
 
-    def _turned(self, task: _Task, fitter: PmdFitter, aligned: list[_Aligned]) -> list[Pose]:
+    def _turned(self, task: _Task, search: FrameSearch, aligned: list[_Aligned]) -> list[Pose]:
         """Return the near-symmetries of the best accepted pose that were not aligned, and may be rivals.
 
         The search leaves them out where the file's materials speak for other poses, so the shape alone says
-        whether they may be rivals.
+        whether they may be rivals. So do rotations that map the main faces onto each other, each about an
+        axis that may pass beside the origin.
         """
         tuning, turns = self._tuning, self._model.turns
         best = next(each for each in aligned if each.is_accepted)
         shape = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=False)
         most = tuning.rival_losses * shape.fit(best.R, best.t).loss
-        attitudes = best.R @ turns.all[: turns.declared]
-        known = turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1)
+        attitudes = best.R @ turns.compared
+        known = np.asarray(turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1))
         if task.around is not None:
             known |= ~within(attitudes.astype(np.float32), task.around, tuning.near_deg)
-        likely = (R for R in attitudes[~known] if shape.fit(R, best.t).loss <= most)
-        return [Pose(R, best.t, fitter.fit(R, best.t)) for R in likely]
+        return [pose for pose in search.turned(best, known) if shape.fit(pose.R, pose.t).loss <= most]
 
     def _better(self, frame: PmdFrame, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rpod_pose.search.face_turns import face_turns
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Equivalence, Target
 
@@ -43,8 +44,16 @@ class Turns:
     """All of them, without the identity, the declared ones first, shape (T, 3, 3)."""
     declared: int
     """Number of the declared ones."""
+    faces: FloatArray
+    """Further rotations that map the main faces onto each other (``face_turns``), without the identity, shape
+    (F, 3, 3)."""
     exact: Equivalence
     """Exact symmetries, which no measurement shows."""
+
+    @property
+    def compared(self) -> FloatArray:
+        """The declared ones, then those of the faces, shape (N, 3, 3)."""
+        return np.concatenate((self.all[: self.declared], self.faces))
 
     @classmethod
     def of(cls, target: Target) -> Self:
@@ -57,8 +66,8 @@ class Turns:
         declared = declared or _distinct(list(HALF_TURNS), exact)
         halves = [Rotation.from_rotvec(0.5 * Rotation.from_matrix(turn).as_rotvec()) for turn in exact.turns]
         every = _distinct([*declared, *Rotation.create_group("O"), *halves], exact)
-        matrices = np.array([turn.as_matrix() for turn in every]).reshape(-1, 3, 3)
-        return cls(matrices, len(declared), exact)
+        faces = _distinct([*declared, *face_turns(target)], exact)[len(declared) :]
+        return cls(_matrices(every), len(declared), _matrices(faces), exact)
 
     def close(self, attitudes: FloatArray, others: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
         """Return which attitudes are within an angle of which others, modulo the exact symmetries.
@@ -88,6 +97,10 @@ class Turns:
             if not close[index, kept].any():
                 kept.append(index)
         return [ranked[index] for index in kept]
+
+
+def _matrices(turns: Sequence[Rotation]) -> FloatArray:
+    return np.array([turn.as_matrix() for turn in turns]).reshape(-1, 3, 3)
 
 
 def matrices(poses: Sequence[Placed]) -> FloatArray:

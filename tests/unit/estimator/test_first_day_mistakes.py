@@ -64,6 +64,16 @@ def doubt_of(points_m, said, *, again=None):
     return reader.inconsistency
 
 
+@pytest.mark.parametrize("name", ["azimuth", "elevation"])
+def test_an_info_whose_angles_run_the_other_way_is_named(name):
+    stated = info()
+    turned = stated.model_copy(update={f"{name}_rad": -getattr(stated, f"{name}_rad")})
+    text = doubt_of(sphere(), turned)
+    assert f"{name}_rad of the info runs the other way than the points" in text
+    assert "elevations downwards" in text
+    assert doubt_of(sphere(), turned, again=stated) == ""
+
+
 def test_points_that_agree_with_their_info_are_consistent():
     assert doubt_of(sphere(), info()) == ""
 

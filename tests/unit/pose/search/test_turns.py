@@ -1,18 +1,20 @@
 """Which poses are the same modulo a target's exact symmetries."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
+from rpod_pose.search.face_turns import MOST, face_turns
 from rpod_pose.search.turns import Turns, matrices
 from rpod_schemas.arrays import FloatArray
-from rpod_target import Equivalence
+from rpod_target import Equivalence, load_target
 
 ORIGIN = np.zeros(3)
 HALF = Rotation.from_euler("z", 180.0, degrees=True).as_matrix()
-HALF_TURN = Turns(np.zeros((0, 3, 3)), 0, Equivalence(np.stack((np.eye(3), HALF))))
+HALF_TURN = Turns(np.zeros((0, 3, 3)), 0, np.zeros((0, 3, 3)), Equivalence(np.stack((np.eye(3), HALF))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,3 +49,45 @@ def test_no_pose_is_close_to_none():
     assert matrices([]).shape == (0, 3, 3)
     assert HALF_TURN.close(attitude(0.0)[None], matrices([]), 10.0).shape == (1, 0)
     assert HALF_TURN.distinct([], 10.0) == []
+
+
+def prism_with_parts(folder):
+    """Return a hexagonal prism with a panel and a box beside it, of which no symmetry is left."""
+    prism = trimesh.creation.cylinder(radius=0.6, height=1.5, sections=6)
+    panel = trimesh.creation.box((0.02, 0.8, 0.9))
+    panel.apply_transform(trimesh.transformations.rotation_matrix(0.4, (0, 0, 1), (0.7, 1.0, 0.2)))
+    panel.apply_translation((0.9, 0.7, 0.2))
+    instrument = trimesh.creation.box((0.2, 0.25, 0.3)).apply_translation((0.1, -0.2, 0.9))
+    trimesh.util.concatenate((prism, panel, instrument)).export(folder / "prism.stl")
+    file = folder / "prism.yaml"
+    file.write_text(
+        "name: prism\nmass_kg: 80\n"
+        "materials: {plain: {reflectivity: 0.4, diffuse: 0.4, f0: 0.02, roughness: 0.3}}\n"
+        "parts: [{name: all, shape: mesh, file: prism.stl, metres_per_unit: 1, material: plain}]\n"
+    )
+    return load_target(file, cache=folder)
+
+
+def test_the_turns_of_a_body_are_compared_though_its_parts_leave_no_symmetry(tmp_path):
+    target = prism_with_parts(tmp_path)
+    turns = Turns.of(target)
+    assert not target.turns()
+    sixths = [Rotation.from_euler("z", 60.0 * k, degrees=True) for k in range(1, 6)]
+    halves = [
+        Rotation.from_rotvec(np.pi * np.array([np.cos(a), np.sin(a), 0.0])) for a in np.pi * np.arange(6) / 6
+    ]
+    for turn in (*sixths, *halves):
+        angles_deg = [
+            np.degrees((Rotation.from_matrix(other).inv() * turn).magnitude()) for other in turns.compared
+        ]
+        assert min(angles_deg) < 5.0
+    assert len(turns.compared) <= turns.declared + MOST
+
+
+def test_a_body_whose_faces_all_look_alike_has_no_turn_of_faces():
+    target = load_target("hexagonal-body")
+    assert all(
+        not Turns.of(target).close(np.eye(3)[None], turn[None], 1.0).any() for turn in Turns.of(target).faces
+    )
+    flat = replace(target, normals=np.tile([0.0, 0.0, 1.0], (len(target.normals), 1)))
+    assert face_turns(flat) == []

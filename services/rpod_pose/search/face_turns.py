@@ -1,0 +1,85 @@
+"""Rotations that map the main faces of a target onto each other, wherever the faces are.
+
+A satellite is often a box or a prism with smaller parts, which distinguish the attitudes in which the body
+looks alike. As a whole it is no near-symmetry: the parts displace the centre of its area, or break the
+symmetry. Where a frame hardly shows them, poses that differ by such a rotation are mistaken for each other.
+
+The faces are compared by their normals and areas alone, as in an extended Gaussian image (B. K. P. Horn,
+Proceedings of the IEEE 72, 1984), in which a translation changes nothing. Faces that look in opposite
+directions count as one.
+"""
+
+from itertools import permutations, product
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from rpod_pose.search.attitude_grid import even_directions
+from rpod_schemas.arrays import FloatArray
+from rpod_target import Target
+from rpod_target.mesh.topology import areas_m2
+
+CELLS = 2000
+"""Number of directions among which the area of all faces is spread. Numerics: they are 4 deg apart."""
+SAME = np.cos(np.deg2rad(6.0))
+"""Cosine of the angle below which two directions are one. Numerics: one and a half times that spacing."""
+APART = np.cos(np.deg2rad(20.0))
+"""Cosine of the least angle between the two directions that determine a rotation. Numerics: from a smaller
+angle an error of 6 deg is more than 17 deg of rotation."""
+TURNED = 0.1
+"""Greatest difference of the cosines between two pairs of directions that a rotation maps onto each other.
+Numerics: 6 deg where they are orthogonal."""
+MAIN, ALL = 8, 24
+"""Numbers of directions, the largest first, that are mapped onto each other and that are compared then.
+Numerics: budgets; a prism of twelve sides has seven."""
+MOST = 24
+"""Greatest number of rotations, the likeliest. Numerics: a budget; a cube has as many, with the identity."""
+
+
+def face_turns(target: Target) -> list[Rotation]:
+    """Return the rotations after which most of a target's area faces as before, the likeliest first.
+
+    The identity may be among them, and so are exact symmetries.
+    """
+    directions, areas = _main_directions(target)
+    apart = np.flatnonzero(np.abs(directions @ directions[0]) < APART)
+    if not apart.size:
+        return []
+    pair = directions[[0, apart[0]]]
+    found: list[tuple[float, Rotation]] = []
+    for one, other in permutations(directions[:MAIN], 2):
+        for signs in product((1.0, -1.0), repeat=2):
+            onto = np.stack((signs[0] * one, signs[1] * other))
+            if abs(pair[0] @ pair[1] - onto[0] @ onto[1]) < TURNED:
+                turn, _ = Rotation.align_vectors(onto, pair)
+                found.append((_alike(turn, directions, areas), turn))
+    found.sort(key=lambda each: -each[0])
+    return [turn for _, turn in found[:MOST]]
+
+
+def _main_directions(target: Target) -> tuple[FloatArray, FloatArray]:
+    """Return the directions that most of the area faces, shape (N, 3), and the areas, (N,), largest first."""
+    cells = even_directions(CELLS)
+    _, cell = KDTree(cells).query(target.normals)
+    areas_of = areas_m2(target.triangles_m)
+    area = np.bincount(cell, areas_of, minlength=CELLS)
+    sums = np.stack([np.bincount(cell, areas_of * n, minlength=CELLS) for n in target.normals.T])
+    found: list[FloatArray] = []
+    areas: list[float] = []
+    while len(found) < ALL and area.max() > 0.0:
+        alike = cells @ cells[area.argmax()]
+        near = np.abs(alike) > SAME
+        direction = (sums[:, near] * np.sign(alike[near])).sum(axis=1)
+        found.append(direction / max(np.linalg.norm(direction), 1e-12))
+        areas.append(float(area[near].sum()))
+        area[near] = 0.0
+    return np.array(found), np.array(areas)
+
+
+def _alike(turn: Rotation, directions: FloatArray, areas: FloatArray) -> float:
+    """Return the share of the area that faces as before after a rotation."""
+    cosines = np.abs(turn.apply(directions) @ directions.T)
+    nearest = cosines.argmax(axis=1)
+    same = cosines.max(axis=1) > SAME
+    return float(np.minimum(areas, areas[nearest])[same].sum() / areas.sum())
