@@ -213,6 +213,18 @@ def test_an_amplitude_that_is_the_same_everywhere_is_told_and_its_frame_is_used_
     )
 
 
+@pytest.mark.parametrize(
+    ("fx", "told"), [(5.0, ""), (5.1, ""), (5.25, "5.0% above fy"), (4.5, "10.0% below fy")]
+)
+def test_focal_lengths_of_pixels_that_are_far_from_square_are_told(fx, told):
+    bench = Bench()
+    bench.send_frame(NOW_NS, camera=CAMERA.model_copy(update={"fx": fx}))
+    (arrived,) = bench.arrived()
+    assert arrived.measurement is not None
+    assert told in arrived.defect
+    assert bool(told) == bool(arrived.defect)
+
+
 def test_an_amplitude_of_zeros_is_a_doubt_where_many_pixels_have_a_range():
     def defect_of(measured: int) -> str:
         depth_m = np.full((30, 40), np.nan, np.float32)
