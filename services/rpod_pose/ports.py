@@ -7,6 +7,7 @@ in its sensor's axes and the target's model; it knows neither bus, clock nor tru
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import inf
 from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -90,6 +91,8 @@ class OtherSize:
     """Log likelihood of the frame with this size, less that with the model's own size."""
     step: FloatArray
     """Step (dtau, dtheta) from the registration's pose to the one with this size, target axes, shape (6,)."""
+    most_log_odds: float = inf
+    """Greatest log odds that all frames together may have: an error that they share explains more as well."""
 
 
 @dataclass(frozen=True, eq=False)

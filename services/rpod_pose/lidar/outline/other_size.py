@@ -5,19 +5,22 @@ ranges, which are k times as long. So the model is registered with ranges, noise
 other model is needed. Ranges of facets alone hardly tell a size, since a shift along the line of sight
 explains most of it. The outline does, so that this uses the likelihood of all rays.
 
+A beam that is wider than assumed also makes a target look larger, in all scans alike. So however many scans
+prefer a larger one, their odds are at most those against an outline that is off by half a beam.
+
 Likelihoods of returns are densities of their ranges. Those of ranges divided by k are k times as large, so
 that each return's logarithm is reduced by log k before two sizes are compared.
 """
 
 from dataclasses import dataclass
 from functools import partial
-from math import log
+from math import inf, log
 from typing import Any
 
 import numpy as np
 
 from rpod_pose.lidar.scan_alignment import FaceProblem
-from rpod_pose.lidar.scan_likelihood import Assumptions
+from rpod_pose.lidar.scan_likelihood import HALF_BEAM_RAD, Assumptions
 from rpod_pose.lidar.scan_registration import Reach, ScanRegistration, outline_mean
 from rpod_pose.ports import OtherSize
 from rpod_pose.registration.lie_group import PoseArrays, step_between
@@ -73,7 +76,14 @@ class OtherSizes:
         step = step_between(pose_of(R, t), pose_of(scaled.pose.R, k * scaled.pose.t))
         returns = int(np.count_nonzero(self.range_m > 0.0))
         log_odds = _log_likelihood(scaled) - returns * log(k) - _log_likelihood(self.found)
-        return OtherSize(share, log_odds, step)
+        return OtherSize(share, log_odds, step, self._most_log_odds(share))
+
+    def _most_log_odds(self, share: float) -> float:
+        """Return the log odds of a larger target against beams of unknown width, which widen outlines."""
+        if share <= 0.0:
+            return inf
+        sigma_m = HALF_BEAM_RAD * float(np.linalg.norm(self.found.pose.t))
+        return 0.5 * (share * self.reach.radius_m / sigma_m) ** 2
 
 
 def _log_likelihood(found: ScanRegistration) -> float:

@@ -171,8 +171,8 @@ def _log_odds(
     """
     span_s = (told[-1][0] - told[0][0]) * 1e-9
     weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(told))
-    newest = told[-1][1]
-    return [
-        (size, weight * sum(each.log_odds for _, sizes in told for each in sizes if each.share == size.share))
-        for size in newest
-    ]
+    found = []
+    for size in told[-1][1]:
+        logs = (each.log_odds for _, sizes in told for each in sizes if each.share == size.share)
+        found.append((size, min(weight * sum(logs), size.most_log_odds)))
+    return found

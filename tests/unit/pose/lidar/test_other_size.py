@@ -65,3 +65,12 @@ def test_a_model_that_is_too_large_is_less_likely_than_a_smaller_target_whose_po
     _, off_m = pose_error(T, found.T_sensor_target)
     left_m = found.T_sensor_target.rotation.inv().apply(off_m) + smaller.step[:3]
     assert np.linalg.norm(left_m) < 0.5 * np.linalg.norm(off_m)
+
+
+def test_wide_beams_may_make_a_small_target_look_larger_and_a_large_one_hardly(scan):
+    sizes = by_share(tracker().track(scan, T))
+    beam_m = 1.5e-3 * np.linalg.norm(T.translation)
+    sigmas = 0.03 * load(BULKY).radius_m / beam_m
+    assert sizes[3].most_log_odds == pytest.approx(0.5 * sigmas**2, rel=0.01)
+    assert sizes[3].most_log_odds > 20.0
+    assert sizes[-3].most_log_odds == np.inf

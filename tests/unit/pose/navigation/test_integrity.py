@@ -380,6 +380,16 @@ def test_sizes_of_frames_within_a_second_count_as_one():
     assert test.value == pytest.approx(2.0 * 10.0 * 1.9)
 
 
+def test_however_many_frames_prefer_a_size_an_error_that_they_share_may_be_the_reason():
+    told = Inside()
+    for k in range(10):
+        size = OtherSize(0.03, 10.0, np.zeros(6), 6.0)
+        registration = Registration(Source.LIDAR, other_sizes=partial(tuple, [size]))
+        told = told.after("lidar", START_NS + k * SECOND_NS, registration, 60.0)
+    (test,) = told.tests(10.0, 0.0)
+    assert test.value == pytest.approx(2.0 * 6.0)
+
+
 @pytest.mark.parametrize(("off_m", "fails"), [(0.0, False), (0.02, False), (0.06, True)])
 def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
