@@ -7,6 +7,7 @@ which model points are hidden and whether a pose explains an image.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -290,9 +291,20 @@ def variance_about_plane(pixels: FloatArray, count: int, steepest: float) -> flo
     return max(left, 0.0) / (count - 3)
 
 
+class _Moments(NamedTuple):
+    """Sums of products of columns u, rows v and depths z about their means."""
+
+    uu: float
+    uv: float
+    vv: float
+    uz: float
+    vz: float
+    zz: float
+
+
 @kernel
-def _central_moments(pixels: FloatArray, count: int) -> tuple[float, float, float, float, float, float]:
-    """Return the sums of uu, uv, vv, uz, vz and zz about the means; arguments as for the variance."""
+def _central_moments(pixels: FloatArray, count: int) -> _Moments:
+    """Return the moments of some pixels; arguments as for the variance."""
     u_mean, v_mean, z_mean = 0.0, 0.0, 0.0
     for n in range(count):
         u_mean += pixels[n, 0] / count
@@ -307,7 +319,7 @@ def _central_moments(pixels: FloatArray, count: int) -> tuple[float, float, floa
         uz += u * z
         vz += v * z
         zz += z * z
-    return uu, uv, vv, uz, vz, zz
+    return _Moments(uu, uv, vv, uz, vz, zz)
 
 
 @kernel
