@@ -190,19 +190,27 @@ class FrameSearch:
         aligned = field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m)
         return min(self._fitted(*aligned), self._fitted(R, t), key=lambda one: one.fit.loss)
 
-    def turned(self, pose: Placed, left_out: NDArray[np.bool_]) -> list[Pose]:
-        """Return the turns of a pose that a search compares: the declared ones in place, the others aligned.
+    def turned(self, pose: Placed, left_out: NDArray[np.bool_], shape: PmdFitter, most: float) -> list[Pose]:
+        """Return the likely turns of a pose: all declared ones in place, and the best others aligned.
 
         Args:
             pose: a pose of the target.
             left_out: which of ``Turns.compared`` are not asked for, shape (N,).
+            shape: compares the frame with poses, whatever the materials.
+            most: greatest loss of a likely pose by the shape.
         """
         turns = self._model.turns
-        return [
-            self._fitted(R, pose.t) if number < turns.declared else self._field_aligned(R, pose.t)
-            for number, R in enumerate(pose.R @ turns.compared)
-            if not left_out[number]
-        ]
+        declared: list[tuple[float, Pose]] = []
+        others: list[tuple[float, Pose]] = []
+        for number, R in enumerate(pose.R @ turns.compared):
+            if left_out[number]:
+                continue
+            is_declared = number < turns.declared
+            turned = self._fitted(R, pose.t) if is_declared else self._field_aligned(R, pose.t)
+            if (loss := shape.fit(turned.R, turned.t).loss) <= most:
+                (declared if is_declared else others).append((loss, turned))
+        others.sort(key=lambda each: each[0])
+        return [turned for _, turned in (*declared, *others[: self._tuning.turns])]
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose aligned with more of the points, or unchanged if that increases the loss."""

@@ -246,7 +246,7 @@ class ViewSearch:
         known = np.asarray(turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1))
         if task.around is not None:
             known |= ~within(attitudes.astype(np.float32), task.around, tuning.near_deg)
-        return [pose for pose in search.turned(best, known) if shape.fit(pose.R, pose.t).loss <= most]
+        return search.turned(best, known, shape, most)
 
     def _better(self, frame: PmdFrame, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
