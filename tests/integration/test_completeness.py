@@ -101,7 +101,7 @@ def test_a_publisher_that_was_killed_makes_the_log_incomplete(scene, wait_s):
 
 
 def test_a_publisher_that_hangs_at_the_close_makes_the_log_incomplete(scene):
-    scene.publisher.send(signal.SIGSTOP)
+    scene.publisher.suspend()
     scene.close_log()
     scene.publisher.send(signal.SIGCONT)
     (reason,) = completeness(scene.path).reasons
