@@ -37,6 +37,9 @@ part that has no pixel of its own."""
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
+SKY_SAMPLES, FREE = 1000, 0.99
+"""Number of pixels from which the brightness beside the target is estimated, and the least share of such a
+pixel that the target leaves free. Numerics: their median is known to a thirtieth of a standard deviation."""
 TYPICAL_SAMPLES = 20_000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
 computation; all pixels of a target of 140 by 140."""
@@ -92,32 +95,43 @@ def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_
         clip: greatest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
-    return _fitted(patch, mixture, by_file, clip, blur_px, alone=True)
+    return _fitted(patch, mixture, by_file, clip, blur_px)
 
 
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
     """Return minus the log likelihood of an image at a pose, with the brightness of each part fitted.
 
     All pixels have the same weight in this fit. Pixels that one blur covers share their errors: the sum is
-    divided by the area 4 pi blur^2 of its autocorrelation. Arguments as for ``fitted``.
+    divided by the area 4 pi blur^2 of its autocorrelation. Beside the target is a sky, or a wall, of one
+    brightness, which is fitted too: else a pose that hides more of a wall would be likelier. Arguments as for
+    ``fitted``.
     """
-    rendered = np.zeros((mixture.window.rows, mixture.window.columns), np.float32)
+    free = _uncovered(mixture, blur_px)
+    sky = sky_of(patch, free, mixture.window)
+    shown = np.float32(sky) * free
     if mixture.pixel.size:
         by_file = filed(mixture, clip=clip, blur_px=blur_px)
-        rendered = _fitted(patch, mixture, by_file, clip, blur_px, alone=False)
-    return 0.5 * squares_of(patch, rendered, mixture.window) / (4.0 * np.pi * blur_px**2)
+        shown = shown + _fitted(patch, mixture, by_file, clip, blur_px, behind=shown)
+    return 0.5 * squares_of(patch, Behind(shown, sky), mixture.window) / (4.0 * np.pi * blur_px**2)
 
 
 def _fitted(
-    patch: Patch, mixture: Mixture, by_file: Filed, clip: float, blur_px: float, *, alone: bool
+    patch: Patch,
+    mixture: Mixture,
+    by_file: Filed,
+    clip: float,
+    blur_px: float,
+    *,
+    behind: Float32Array | None = None,
 ) -> Float32Array:
     """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
 
-    If ``alone``, pixels that show one part alone decide, and the file where there is none. Else all pixels
-    count alike, and the file does not.
+    With the brightness ``behind`` the target, on the pixels of the window, all pixels count alike, and the
+    file does not. Without it, pixels that show one part alone decide, and the file where there is none.
     """
     (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
-    image = np.ascontiguousarray(patch.image[row : row + rows, column : column + columns])
+    image, alone = patch.image[row : row + rows, column : column + columns], behind is None
+    image = np.ascontiguousarray(image) if behind is None else np.maximum(image - behind, np.float32(0.0))
     weight = weights(mixture.alone) if alone else np.ones_like(image)
     first, most = np.float32(patch.typical / by_file.typical), np.float32(clip * patch.typical)
     gain = np.full(int(mixture.part.max()) + 1, first, np.float32)
@@ -143,13 +157,54 @@ def faintest(patch: Patch) -> float:
     return 0.5 * patch.least
 
 
+def _uncovered(mixture: Mixture, blur_px: float) -> Float32Array:
+    """Return how much of each pixel of the window the target leaves free, smoothed, shape (rows, columns)."""
+    free = np.ones(mixture.alone.size, np.float32)
+    free[mixture.pixel] = 0.5
+    free[mixture.alone.ravel() >= 0] = 0.0
+    return _blurred(free.reshape(mixture.alone.shape), blur_px)
+
+
+class Behind(NamedTuple):
+    """A rendering before a sky of one brightness."""
+
+    image: Float32Array
+    """On the pixels of the window, shape (rows, columns)."""
+    sky: float
+    """Beyond them."""
+
+
 @kernel
-def squares_of(patch: Patch, rendered: Float32Array, window: Window) -> float:
+def sky_of(patch: Patch, free: Float32Array, window: Window) -> float:
+    """Return the median brightness of an image's pixels beside the target; 0 without any.
+
+    Args:
+        patch: the image.
+        free: how much of a pixel of the window the target leaves free, shape (rows, columns).
+        window: the pixels around the target.
+    """
+    image, check = patch.image, patch.saturated.size > 0
+    found, count = np.empty(SKY_SAMPLES + 1, np.float32), 0
+    bottom, right = window.row + window.rows, window.column + window.columns
+    step = image.size // SKY_SAMPLES + 1
+    for pixel in range(0, image.size, step):
+        i, j = pixel // image.shape[1], pixel % image.shape[1]
+        if check and patch.saturated[i, j] > 0:
+            continue
+        beside = i < window.row or i >= bottom or j < window.column or j >= right
+        if beside or free[i - window.row, j - window.column] > FREE:
+            found[count] = image[i, j]
+            count += 1
+    return float(np.median(found[:count])) if count > 0 else 0.0
+
+
+@kernel
+def squares_of(patch: Patch, rendered: Behind, window: Window) -> float:
     """Return the sum of the squared residuals of an image's pixels, in sigmas, at most ``MOST_SIGMAS`` each.
 
     Args:
         patch: the image.
-        rendered: the rendering on the pixels of the window, shape (rows, columns); beyond them it is 0.
+        rendered: the rendering.
         window: the pixels around the target.
     """
     image, check = patch.image, patch.saturated.size > 0
@@ -160,9 +215,9 @@ def squares_of(patch: Patch, rendered: Float32Array, window: Window) -> float:
         for j in range(image.shape[1]):
             if check and patch.saturated[i, j] > 0:
                 continue
-            shown = 0.0
+            shown = rendered.sky
             if not (beside or j < window.column or j >= right):
-                shown = float(rendered[i - window.row, j - window.column])
+                shown = float(rendered.image[i - window.row, j - window.column])
             residual = image[i, j] - shown
             total += min(residual * residual / (UNEVEN * UNEVEN * shown * shown + floor), MOST_SIGMAS**2)
     return total

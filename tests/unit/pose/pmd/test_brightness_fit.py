@@ -1,11 +1,15 @@
 """Parts that the pixels of a rendering show, and the brightness that is fitted to them."""
 
+import cv2
 import numpy as np
 import pytest
 
 from rpod_pose.pmd.joint.brightness_fit import (
+    Behind,
+    Mixture,
     adapt,
     clipped,
+    misfit,
     mixed,
     mixture_of,
     ratio_of,
@@ -73,18 +77,41 @@ def test_an_empty_rendering_has_a_window_without_brightness() -> None:
     assert not shade.any()
 
 
-def test_the_misfit_counts_the_sky_beyond_the_window_and_leaves_saturated_pixels_out() -> None:
+@pytest.mark.parametrize("sky", [0.0, 0.4])
+def test_the_misfit_counts_the_sky_beyond_the_window_and_leaves_saturated_pixels_out(sky: float) -> None:
     random = np.random.default_rng(4)
     image = random.random((40, 50)).astype(np.float32)
     triangle = np.full(image.shape, -1, np.int32)
     triangle[18:22, 20:30] = 0
     window = window_of(triangle, 1)
     rendered = random.random(window[2:]).astype(np.float32)
-    whole = np.zeros_like(image)
+    whole = np.full_like(image, sky)
     row, column, rows, columns = window
     whole[row : row + rows, column : column + columns] = rendered
     saturated = (random.random(image.shape) < 0.1).astype(np.uint8)
     patch = Patch(image, 0.0, 0.0, 0.3, 0.1, 1.0, saturated)
     sigma2 = (0.15 * whole) ** 2 + 0.15**2 + 0.1**2
     each = np.minimum((image - whole) ** 2 / sigma2, 9.0)
-    assert squares_of(patch, rendered, window) == pytest.approx(each[saturated == 0].sum(), rel=1e-5)
+    assert squares_of(patch, Behind(rendered, sky), window) == pytest.approx(
+        each[saturated == 0].sum(), rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("wall", [0.0, 0.3, 0.6])
+def test_a_pose_that_hides_more_of_a_bright_wall_is_not_likelier(wall: float) -> None:
+    def at(rows: slice, columns: slice) -> Mixture:
+        triangle = np.full((60, 80), -1, np.int32)
+        triangle[rows, columns] = 0
+        triangle[rows, columns.start : columns.start + 8] = 1  # a part of its own
+        return mixture_of(triangle, 1, np.ones(2, np.float32), np.array([0, 1], np.int32))
+
+    image = np.full((60, 80), wall, np.float32)
+    image[20:40, 30:50] = 1.0
+    patch = Patch(cv2.GaussianBlur(image, (0, 0), 1.0), 0.0, 0.0, 0.1, 0.02, 1.0)
+    right, wider, beside = (
+        misfit(patch, at(slice(20, 40), columns), clip=4.0, blur_px=1.0)
+        for columns in (slice(30, 50), slice(22, 50), slice(34, 54))
+    )
+    assert right < 1.0
+    assert right < wider
+    assert right < beside
