@@ -1,9 +1,11 @@
-"""Typical brightness of a target in an amplitude image, and the image's noise, estimated from the image."""
+"""Typical brightness of a target in an amplitude image and beside it, and the image's noise."""
 
 import numpy as np
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.frame_check import LIT_SPREADS
+from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.rendering import Window
 from rpod_schemas.types import Float32Array
 
 SAMPLES = 3000
@@ -16,6 +18,9 @@ LIT = 0.25, 4.0
 ``frame_check.BRIGHT``."""
 ROUNDS = 4
 """Iterations in which that median converges. Numerics: a budget of computation."""
+SKY_SAMPLES, FREE = 1000, 0.99
+"""Number of pixels from which the brightness beside the target is estimated, and the least share of such a
+pixel that the target leaves free. Numerics: their median is known to a thirtieth of a standard deviation."""
 
 
 @kernel
@@ -86,3 +91,27 @@ def brightest_of(sky: Float32Array) -> float:
         return 0.0
     median = np.median(sky)
     return float(median + LIT_SPREADS * np.median(np.abs(sky - median)))
+
+
+@kernel
+def sky_of(patch: Patch, free: Float32Array, window: Window) -> float:
+    """Return the median brightness of an image's pixels beside the target; 0 without any.
+
+    Args:
+        patch: the image.
+        free: how much of a pixel of the window the target leaves free, shape (rows, columns).
+        window: the pixels around the target.
+    """
+    image, check = patch.image, patch.saturated.size > 0
+    found, count = np.empty(SKY_SAMPLES + 1, np.float32), 0
+    bottom, right = window.row + window.rows, window.column + window.columns
+    step = image.size // SKY_SAMPLES + 1
+    for pixel in range(0, image.size, step):
+        i, j = pixel // image.shape[1], pixel % image.shape[1]
+        if check and patch.saturated[i, j] > 0:
+            continue
+        beside = i < window.row or i >= bottom or j < window.column or j >= right
+        if beside or free[i - window.row, j - window.column] > FREE:
+            found[count] = image[i, j]
+            count += 1
+    return float(np.median(found[:count])) if count > 0 else 0.0

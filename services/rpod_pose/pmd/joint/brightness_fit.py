@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
+from rpod_pose.pmd.joint.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window, window_of
 from rpod_schemas.types import Float32Array
@@ -37,9 +38,6 @@ part that has no pixel of its own."""
 HELD = 0.01
 """Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
 shows several parts."""
-SKY_SAMPLES, FREE = 1000, 0.99
-"""Number of pixels from which the brightness beside the target is estimated, and the least share of such a
-pixel that the target leaves free. Numerics: their median is known to a thirtieth of a standard deviation."""
 TYPICAL_SAMPLES = 20_000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
 computation; all pixels of a target of 140 by 140."""
@@ -99,12 +97,11 @@ def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_
 
 
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
-    """Return minus the log likelihood of an image at a pose, with the brightness of each part fitted.
+    """Return minus the log likelihood of an image at a pose, with the brightness of parts and sky fitted.
 
     All pixels have the same weight in this fit. Pixels that one blur covers share their errors: the sum is
-    divided by the area 4 pi blur^2 of its autocorrelation. Beside the target is a sky, or a wall, of one
-    brightness, which is fitted too: else a pose that hides more of a wall would be likelier. Arguments as for
-    ``fitted``.
+    divided by the area 4 pi blur^2 of its autocorrelation. The sky may be a wall: if it were taken for dark,
+    a pose that hides more of it would be likelier. Arguments as for ``fitted``.
     """
     free = _uncovered(mixture, blur_px)
     sky = sky_of(patch, free, mixture.window)
@@ -126,8 +123,8 @@ def _fitted(
 ) -> Float32Array:
     """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
 
-    With the brightness ``behind`` the target, on the pixels of the window, all pixels count alike, and the
-    file does not. Without it, pixels that show one part alone decide, and the file where there is none.
+    With the brightness ``behind`` the target, shape as the window, all pixels count alike, and the file does
+    not. Without it, pixels that show one part alone decide, and the file where there is none.
     """
     (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
     image, alone = patch.image[row : row + rows, column : column + columns], behind is None
@@ -160,8 +157,7 @@ def faintest(patch: Patch) -> float:
 def _uncovered(mixture: Mixture, blur_px: float) -> Float32Array:
     """Return how much of each pixel of the window the target leaves free, smoothed, shape (rows, columns)."""
     free = np.ones(mixture.alone.size, np.float32)
-    free[mixture.pixel] = 0.5
-    free[mixture.alone.ravel() >= 0] = 0.0
+    free[mixture.pixel] = np.where(mixture.alone.ravel()[mixture.pixel] >= 0, 0.0, 0.5)
     return _blurred(free.reshape(mixture.alone.shape), blur_px)
 
 
@@ -169,33 +165,8 @@ class Behind(NamedTuple):
     """A rendering before a sky of one brightness."""
 
     image: Float32Array
-    """On the pixels of the window, shape (rows, columns)."""
+    """On the pixels of the window, shape (rows, columns); ``sky`` is the brightness beyond them."""
     sky: float
-    """Beyond them."""
-
-
-@kernel
-def sky_of(patch: Patch, free: Float32Array, window: Window) -> float:
-    """Return the median brightness of an image's pixels beside the target; 0 without any.
-
-    Args:
-        patch: the image.
-        free: how much of a pixel of the window the target leaves free, shape (rows, columns).
-        window: the pixels around the target.
-    """
-    image, check = patch.image, patch.saturated.size > 0
-    found, count = np.empty(SKY_SAMPLES + 1, np.float32), 0
-    bottom, right = window.row + window.rows, window.column + window.columns
-    step = image.size // SKY_SAMPLES + 1
-    for pixel in range(0, image.size, step):
-        i, j = pixel // image.shape[1], pixel % image.shape[1]
-        if check and patch.saturated[i, j] > 0:
-            continue
-        beside = i < window.row or i >= bottom or j < window.column or j >= right
-        if beside or free[i - window.row, j - window.column] > FREE:
-            found[count] = image[i, j]
-            count += 1
-    return float(np.median(found[:count])) if count > 0 else 0.0
 
 
 @kernel
