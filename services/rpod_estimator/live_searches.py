@@ -90,7 +90,7 @@ class LiveSearches:
         found = running.found or self._workers[search.sensor].result()
         if found is not None:
             del self._running[search.sensor]
-            if not found.acquisition.begins_track:
+            if not found.acquisition.begins_track and search.follow is None:
                 data, now_s = search.event.data, self._now_s()
                 self._backoffs[search.sensor].take(data, began_s=running.began_s, now_s=now_s)
         return found
@@ -99,7 +99,7 @@ class LiveSearches:
         worker, now_s = self._workers[search.sensor], self._now_s()
         if self._running.pop(search.sensor, None):
             worker.cancel()
-        if self._backoffs[search.sensor].is_paused(search.event.data, now_s):
+        if search.follow is None and self._backoffs[search.sensor].is_paused(search.event.data, now_s):
             return Found.not_searched()
         worker.begin(search, self._setups[search.sensor])
         self._running[search.sensor] = _Running(search, now_s)

@@ -27,11 +27,11 @@ from rpod_pose.navigation.contest import challenged
 from rpod_pose.navigation.dynamics.options import CONSTANT, Dynamics
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
+from rpod_pose.navigation.first_pose.catching_up import CatchingUp
 from rpod_pose.navigation.first_pose.results import SearchResults
 from rpod_pose.navigation.first_pose.searches import (
     BEGUN,
     FOUND,
-    SEARCHED,
     Found,
     InlineSearches,
     Search,
@@ -98,6 +98,7 @@ class Navigator:
         )
         self._parallel = ParallelTracks(self._beginning.filter_at, settings.filter, alike)
         self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
+        self._catching_up = CatchingUp(settings, self._registrar)
         self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)
         self._ranges = Ranges(settings.sensors)
         self._searches = searches or InlineSearches(methods, self._limits.tuning.search_delay_frames)
@@ -148,9 +149,11 @@ class Navigator:
             return self._look(state, event)
         found = self._searches.result(pending)
         if found is None:
-            return self._look(state.searching(replace(pending, waited=pending.waited + 1)), event)
-        state, then = self._conclude(state.not_searching(event.sensor), pending, found)
-        state, output = self._look(state, event)
+            return self._look(state.searching(self._catching_up.waited(pending, event)), event)
+        before = state.not_searching(event.sensor)
+        state, then = self._conclude(before, pending, found)
+        follow = self._catching_up.needed(before, state, pending, found, event)
+        state, output = self._look(state, event) if follow is None else self._ask(before, follow)
         return state, output.after_search(then, pending.age_s(event.stamp_ns))
 
     def _look(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
@@ -213,7 +216,7 @@ class Navigator:
             return self._conclude(state, search, found)
         state = state.searching(replace(search, waited=1))
         reason = search.reason if search.registration else ""
-        output = self._output(state, search.event, search.registration, reason=reason, search=SEARCHED)
+        output = self._output(state, search.event, search.registration, reason=reason, search=search.report)
         return state, output.with_evidence(BEGUN, 1.0)
 
     def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:

@@ -11,7 +11,7 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
-from rpod_pose.navigation.history import History
+from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.joints import JointTrack, tracked_joints
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.rivals import Rivals
@@ -77,14 +77,25 @@ class Beginning:
         return share <= BEGINNING * self._limits.tuning.max_contradicted_share
 
     def at_found(
-        self, state: NavigatorState, event: Measurement, registration: Registration
+        self,
+        state: NavigatorState,
+        event: Measurement,
+        registration: Registration,
+        before: PoseMeasurement | None = None,
     ) -> NavigatorState:
-        """Return the state with a track that begins at the pose of a frame."""
+        """Return the state with a track that begins at the pose of a frame.
+
+        Args:
+            state: state without a track.
+            event: the frame.
+            registration: its registration.
+            before: pose in an earlier frame, from which it was followed; None if there is none.
+        """
         unverified = self._limits.confirmations > 0 or not self.is_credible(state, event.sensor)
         return replace(
             state.not_searching(event.sensor),
             mode=Mode.VERIFYING if unverified else Mode.TRACKING,
-            history=History(self.filter_at(as_measured(registration, event))),
+            history=self._history(as_measured(registration, event), before),
             streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
@@ -92,6 +103,14 @@ class Beginning:
             confirmations=0,
             joints=self.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
+
+    def _history(self, measured: PoseMeasurement, before: PoseMeasurement | None) -> History:
+        """Return a history that begins at a pose, or at an earlier one that agrees with it."""
+        if before is not None:
+            followed = apply(History(self.filter_at(before)), measured, self._config)
+            if followed.accepted:
+                return followed.history
+        return History(self.filter_at(measured))
 
     def at_remaining(self, state: NavigatorState, rivals: Rivals, event: Measurement) -> NavigatorState:
         """Return the state with the track of the best rival, which has been tracked all the time."""

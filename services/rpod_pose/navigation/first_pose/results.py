@@ -6,7 +6,9 @@ from dataclasses import replace
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.first_pose.beginning import Beginning
 from rpod_pose.navigation.first_pose.searches import PAUSED, Found, Search
+from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import searched
@@ -56,7 +58,7 @@ class SearchResults:
         if why := self._ranges.not_of(event.sensor, registration):
             return state, self._output(state, event, reason=why)
         if acquisition.begins_track:
-            state = self._beginning.at_found(state, event, registration)
+            state = self._beginning.at_found(state, event, registration, _before(search, found))
             return state, self._output(state, event, registration)
         if self._methods[event.sensor].likelihoods is not None:
             tracks = self._parallel.started(event, acquisition)
@@ -87,3 +89,11 @@ class SearchResults:
         else:
             state = replace(state, rivals=None, searches={})
         return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
+
+
+def _before(search: Search, found: Found) -> PoseMeasurement | None:
+    """Return the pose in an earlier frame from which a found pose was followed; None if it was not."""
+    if search.follow is None or found.before is None:
+        return None
+    stamp_ns, registration = found.before
+    return as_measured(registration, next(each for each in search.follow.frames if each.stamp_ns == stamp_ns))

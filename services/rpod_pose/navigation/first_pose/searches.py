@@ -17,6 +17,7 @@ from typing import NamedTuple, Protocol
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.first_pose.following import Follow, Placed, followed
 from rpod_pose.ports import Acquisition, Angle, Methods, Registration
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, Source
@@ -25,6 +26,8 @@ SEARCHING = "searching: the result of the frame {:.2f} s ago is awaited"
 """Reason for which a frame is not used while another one of its sensor is searched."""
 SEARCHED = "searching: a search in this frame has begun"
 """Reason for which a frame is not used yet: it is searched."""
+FOLLOWED = "searching: a pose found in an earlier frame is followed up to this one"
+"""Reason for which a frame is not used yet: the pose of a search is followed through the frames since."""
 FOUND = "a pose was found, which the next frame has to verify"
 """Reason for which the searched frame is not used yet if its sensor has sent no frame since."""
 PAUSED = "not searched: no search has found the target, so fewer frames are searched"
@@ -63,6 +66,10 @@ class Search:
     """Whether the target is tracked while it runs, so that it is less urgent than a tracked frame."""
     waited: int = 0
     """Number of frames of its sensor that have come since."""
+    later: tuple[Measurement, ...] = ()
+    """Some of these frames."""
+    follow: Follow | None = None
+    """Pose of an earlier search that is followed up to the frame, in place of a search; None for a search."""
 
     @property
     def sensor(self) -> str:
@@ -72,7 +79,12 @@ class Search:
     @property
     def sent(self) -> "Search":
         """This search without the data that are needed only to use its result."""
-        return replace(self, registration=None)
+        return replace(self, registration=None, later=())
+
+    @property
+    def report(self) -> str:
+        """Reason for which the frame is not used yet."""
+        return SEARCHED if self.follow is None else FOLLOWED
 
     def age_s(self, stamp_ns: int) -> float:
         """Return the time from the searched frame to a stamp, s."""
@@ -84,6 +96,8 @@ class Found:
     """Result of a search."""
 
     acquisition: Acquisition
+    before: Placed | None = None
+    """Pose in an earlier frame, where one was followed to the searched frame."""
     nearby: bool = False
     """Whether it is that of the surroundings of ``Search.near``."""
     paused: bool = False
@@ -133,6 +147,8 @@ class InlineSearches:
 
 def find(search: Search, methods: Methods) -> Found:
     """Return the result of a search by the methods of its sensor."""
+    if search.follow is not None:
+        return Found(*followed(search.follow, expecting(methods, search.angles)))
     acquirer = expecting(methods, search.angles).acquirer
     if search.near is not None:
         found = acquirer.near(*search.near)
