@@ -53,5 +53,6 @@ class CatchingUp:
         _, refusal = self._registrar.register(begun.joints, event, predicted, tracked=False)
         if not refusal:
             return None
-        follow = Follow(found.acquisition, (search.event, *search.later, event))
+        since = search.frames_from(found.stamp_ns(search))
+        follow = Follow(found.acquisition, (*since, *search.later, event))
         return Search(event, follow=follow, angles=self._registrar.angles(begun.joints, event))

@@ -42,9 +42,9 @@ class Followed(NamedTuple):
     """Result of following a pose."""
 
     acquisition: Acquisition
-    """The pose in the last frame; without a pose if it was not followed to it, with the reason."""
-    before: Placed | None
-    """The pose in the last frame before that shows it; the two give the target's velocity."""
+    """The pose in the last frame that shows it; without a pose if none does, with the reason."""
+    track: tuple[Placed, ...] = ()
+    """The pose in the last two frames that show it, which give the target's velocity."""
 
 
 def kept(
@@ -69,7 +69,7 @@ def kept(
 
 
 def followed(follow: Follow, methods: Methods) -> Followed:
-    """Return a found pose in the last of some frames.
+    """Return a found pose in the last of some frames that shows it.
 
     Each frame is registered from where the target would be if it went on as between the last two poses. A
     frame that gives no pose is left out.
@@ -82,11 +82,12 @@ def followed(follow: Follow, methods: Methods) -> Followed:
         registration = _registered(event, track[-2:], methods)
         if registration.continues_track:
             track.append(Placed(event.stamp_ns, registration))
-    if registration.begins_track:
-        return Followed(replace(follow.found, registration=registration), track[-2])
+    last = track[-1].registration
+    if len(track) > 1 and last.begins_track:
+        return Followed(replace(follow.found, registration=last), tuple(track[-2:]))
     age_s = (follow.frames[-1].stamp_ns - searched.stamp_ns) / NANOSECONDS
     reason = NOT_FOLLOWED.format(age_s, registration.belief.refusal)
-    return Followed(replace(follow.found, registration=Registration.none(registration.source, reason)), None)
+    return Followed(replace(follow.found, registration=Registration.none(registration.source, reason)))
 
 
 def _registered(event: Measurement, track: list[Placed], methods: Methods) -> Registration:

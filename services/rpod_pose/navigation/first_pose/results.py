@@ -58,7 +58,8 @@ class SearchResults:
         if why := self._ranges.not_of(event.sensor, registration):
             return state, self._output(state, event, reason=why)
         if acquisition.begins_track:
-            state = self._beginning.at_found(state, event, registration, _before(search, found))
+            before, event = _frames_of(search, found)
+            state = self._beginning.at_found(state, event, registration, before)
             return state, self._output(state, event, registration)
         if self._methods[event.sensor].likelihoods is not None:
             tracks = self._parallel.started(event, acquisition)
@@ -91,9 +92,11 @@ class SearchResults:
         return state, self._output(state, event, registration, reason=rivals.reason(self._alike))
 
 
-def _before(search: Search, found: Found) -> PoseMeasurement | None:
-    """Return the pose in an earlier frame from which a found pose was followed; None if it was not."""
-    if search.follow is None or found.before is None:
-        return None
-    stamp_ns, registration = found.before
-    return as_measured(registration, next(each for each in search.follow.frames if each.stamp_ns == stamp_ns))
+def _frames_of(search: Search, found: Found) -> tuple[PoseMeasurement | None, Measurement]:
+    """Return the pose before that of a result, if one was followed, and the frame of the result."""
+    if not found.track:
+        return None, search.event
+    (stamp_ns, registration), last = found.track
+    first, *_ = search.frames_from(stamp_ns)
+    event, *_ = search.frames_from(last.stamp_ns)
+    return as_measured(registration, first), event

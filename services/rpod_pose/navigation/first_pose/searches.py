@@ -86,6 +86,11 @@ class Search:
         """Reason for which the frame is not used yet."""
         return SEARCHED if self.follow is None else FOLLOWED
 
+    def frames_from(self, stamp_ns: int) -> tuple[Measurement, ...]:
+        """Return the frames from a stamp on through which a pose was followed up to the searched frame."""
+        frames = (self.event,) if self.follow is None else self.follow.frames
+        return tuple(frame for frame in frames if frame.stamp_ns >= stamp_ns)
+
     def age_s(self, stamp_ns: int) -> float:
         """Return the time from the searched frame to a stamp, s."""
         return (stamp_ns - self.event.stamp_ns) / NANOSECONDS
@@ -96,12 +101,16 @@ class Found:
     """Result of a search."""
 
     acquisition: Acquisition
-    before: Placed | None = None
-    """Pose in an earlier frame, where one was followed to the searched frame."""
+    track: tuple[Placed, ...] = ()
+    """Last two poses of one that was followed, each in its frame; the second is that of the acquisition."""
     nearby: bool = False
     """Whether it is that of the surroundings of ``Search.near``."""
     paused: bool = False
     """Whether the search was not made, because unsuccessful searches are limited."""
+
+    def stamp_ns(self, search: Search) -> int:
+        """Return the stamp of the frame in which the pose of this result of a search is."""
+        return self.track[-1].stamp_ns if self.track else search.event.stamp_ns
 
     @classmethod
     def nothing(cls, reason: str) -> "Found":

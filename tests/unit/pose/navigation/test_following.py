@@ -98,8 +98,13 @@ def test_frames_that_give_no_pose_on_the_way_are_left_out():
     assert outputs[7.5].status.mode == Mode.TRACKING
 
 
+def test_a_target_that_the_last_frames_do_not_show_is_tracked_from_the_last_one_that_does():
+    outputs, _ = run(ends=[6.0, 6.5], until_s=6.5, hidden=[(5.6, 6.0)])
+    assert outputs[6.5].status.accepted
+
+
 def test_a_target_that_was_hidden_for_too_long_is_searched_again_and_the_reason_is_told():
-    outputs, _ = run(ends=[6.0, 6.5], until_s=6.5, hidden=[(0.4, 5.9)])
+    outputs, _ = run(ends=[6.0, 6.5], until_s=6.5, hidden=[(0.4, 6.0)])
     assert outputs[6.5].status.mode == Mode.ACQUIRING
     assert (
         "the pose found in the frame 6.00 s before is not followed to this one: "
