@@ -8,6 +8,8 @@ takes the pose from one to the next. This takes less time than has passed.
 from dataclasses import replace
 from typing import NamedTuple
 
+from scipy.spatial.transform import RigidTransform
+
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_pose.unwanted import step
@@ -36,6 +38,13 @@ class Placed(NamedTuple):
 
     stamp_ns: int
     registration: Registration
+    """A registration with a pose."""
+
+    @property
+    def pose(self) -> RigidTransform:
+        """T_sensor_target."""
+        assert self.registration.T_sensor_target is not None  # noqa: S101 - see the field
+        return self.registration.T_sensor_target
 
 
 class Followed(NamedTuple):
@@ -92,20 +101,18 @@ def followed(follow: Follow, methods: Methods) -> Followed:
 
 def _registered(event: Measurement, track: list[Placed], methods: Methods) -> Registration:
     """Return the registration of a frame from the pose to which the last one or two poses lead."""
-    poses = [each.registration.T_sensor_target for each in track]
-    assert all(pose is not None for pose in poses)  # noqa: S101 - only frames with a pose are in a track
+    first, last = track[0].pose, track[-1].pose
     if len(track) == 1:
-        return methods.tracker.track(event.data, poses[0])
-    before, last = poses
+        return methods.tracker.track(event.data, first)
     took_ns = track[1].stamp_ns - track[0].stamp_ns
-    predicted = between(before, last, (event.stamp_ns - track[0].stamp_ns) / took_ns)
+    predicted = between(first, last, (event.stamp_ns - track[0].stamp_ns) / took_ns)
     frame: SensorFrame = event.data
     if methods.deskew is not None:
         per_s = NANOSECONDS / took_ns
         frame = methods.deskew(
             frame,
             predicted,
-            velocity_m_s=per_s * (last.translation - before.translation),
-            rate_rad_s=per_s * (last.rotation * before.rotation.inv()).as_rotvec(),
+            velocity_m_s=per_s * (last.translation - first.translation),
+            rate_rad_s=per_s * (last.rotation * first.rotation.inv()).as_rotvec(),
         )
     return methods.tracker.track(frame, predicted)
