@@ -22,7 +22,15 @@ from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
-from rpod_pose.ports import Acquirer, ComparingTracker, KindMethods, Methods, Task, Tracker
+from rpod_pose.ports import (
+    Acquirer,
+    ComparingAcquirer,
+    ComparingTracker,
+    KindMethods,
+    Methods,
+    Task,
+    Tracker,
+)
 from rpod_pose.surroundings.acquirer import AcquirerAmongThings
 from rpod_pose.surroundings.tracker import TrackerAmongThings
 from rpod_schemas.config.estimator import PmdInput
@@ -50,7 +58,7 @@ LEAST_BIAS_M = 0.001
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
-    if isinstance(task.tracker, ComparingTracker) and task.sensor.tracking.kind == "joint":
+    if isinstance(task.tracker, ComparingTracker) and isinstance(task.sensor.tracking, JointConfig):
         return ViewSearch(config, task.target, task.tracker)
     finisher = joint(JointConfig(), task)
     return ViewSearch(config, task.target, TrackerAmongThings(finisher, frames_of(task.sensor), task.target))
@@ -119,7 +127,7 @@ def make(task: Task) -> Methods:
         PreparedAcquirer(AcquirerAmongThings(acquirer, tracker), preparation),
         PreparedTracker(tracker, preparation),
         likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
-        if isinstance(acquirer, ViewSearch)
+        if isinstance(acquirer, ComparingAcquirer)
         else None,
     )
 
