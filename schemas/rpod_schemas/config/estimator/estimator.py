@@ -100,11 +100,9 @@ class PmdInput(SensorInput):
 
     @property
     def range_offset_sigma_m(self) -> float:
-        """What the calibration states, else what the joint tracker assumes."""
-        if self.calibration is not None and self.calibration.evidence is not None:
-            return self.calibration.evidence.bias_after_m
-        depth = (self.tracking if isinstance(self.tracking, JointConfig) else JointConfig()).tuning.depth
-        return (depth.raw if self.calibration is None else depth.calibrated).bias_m
+        """Standard deviation that the calibration states, else the one that the joint tracker assumes, m."""
+        tracking = self.tracking if isinstance(self.tracking, JointConfig) else JointConfig()
+        return tracking.tuning.depth.shared_bias_m(self.calibration)
 
 
 HeardSensor = Annotated[SensorInput, HEARD]
