@@ -41,6 +41,10 @@ NO_CHOICE = r"slice|np\.(zeros|empty)|[A-Z]"
 """Functions and records whose numbers are sizes, places, or fields that say what they are."""
 LIMITS = Path(__file__).parents[3] / "docs" / "limits"
 """Results of the campaign that derives limits."""
+MEASURED = ("sensors.pmd.calibration.", "sensors.pmd.camera.")
+"""Fields whose figures a calibration writes into one file each."""
+ADVICE = re.compile(r"\b(Set|Raise|Lower|[Cc]hange|Leave)\b")
+"""What begins a sentence that tells a user when to touch a field."""
 FEWEST_WORDS = 4
 """Fewest words of the sentence that tells what a field does."""
 
@@ -172,11 +176,10 @@ def test_the_estimator_has_no_more_public_fields_than_decided(
 
 def test_a_user_has_no_more_decisions_than_decided() -> None:
     """Intrinsics and errors of distances are measured: their fields are figures of one file each."""
-    measured = ("sensors.pmd.calibration.", "sensors.pmd.camera.")
     decisions = {
-        next((file for file in measured if name.startswith(file)), name) for name in estimator_fields()
+        next((file for file in MEASURED if name.startswith(file)), name) for name in estimator_fields()
     }
-    assert set(measured) < decisions
+    assert set(MEASURED) < decisions
     assert len(decisions) <= MOST_DECISIONS
 
 
@@ -191,6 +194,16 @@ def test_every_public_field_has_a_sentence() -> None:
         if len((field.description or "").split()) < FEWEST_WORDS and ".camera." not in name
     }
     assert {name for name in mute if not name.endswith(".kind")} == set()
+
+
+def test_every_decision_says_when_to_touch_the_field() -> None:
+    """Figures of a calibration, intrinsics and the choice of a method need no advice of their own."""
+    untold = {
+        name
+        for name, field in estimator_fields().items()
+        if not ADVICE.search(field.description or "") and not name.startswith(MEASURED)
+    }
+    assert {name for name in untold if not name.endswith(".kind")} == set()
 
 
 def test_every_tuning_value_says_where_it_comes_from(record_property: Callable[[str, object], None]) -> None:

@@ -203,7 +203,8 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=ZENOH_ID)
     """Zenoh identity of the estimator, from which the router withholds the truth."""
     target: str
-    """Name of a shipped target, or the file of your own; all methods look for this body."""
+    """Name of a shipped target, or the file of your own. Set it to the body in view, for which all methods
+    look."""
     prefix: Name = "estimate"
     """First part of the topics of the estimates. Set it where two estimators run side by side."""
     max_age_s: Positive = 1.0
