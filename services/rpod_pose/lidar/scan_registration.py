@@ -60,7 +60,7 @@ a chi-square variable, for six unknowns."""
 
 
 class Reach(NamedTuple):
-    """How far a predicted pose may be off, and what the outline can tell."""
+    """Limits of predictions, and the resolution of the outline: the rays and the target's size."""
 
     near_share: float
     """Share of agreeing rays from which a prediction counts as close."""

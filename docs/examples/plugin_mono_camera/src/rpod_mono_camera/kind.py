@@ -1,4 +1,4 @@
-"""What rpod is told of the camera: everything heavy is named, and imported by who needs it."""
+"""The camera as rpod knows it: everything heavy is named, and imported by the process that needs it."""
 
 from rpod_mono_camera.config import EdgeTrackingConfig, MonoConfig, MonoInput, NearPredictionConfig
 from rpod_mono_camera.frame import MonoFrame
