@@ -3,7 +3,9 @@
 How a document has a block treated otherwise stands in ``blocks``, and for authors in CONTRIBUTING.md.
 """
 
+import doctest
 import fcntl
+import importlib
 import itertools
 import json
 import os
@@ -28,6 +30,15 @@ LEFT_OUT = [
     block for document in DOCUMENTS for block in blocks_of(ROOT / document) if block.kind == "not run"
 ]
 ELSEWHERE = re.compile(r"(\S+\.md) has (the same|such)(?: a)? commands?")
+SOURCES = [
+    (room, file) for room in ("schemas", "services", "sim_sensor") for file in (ROOT / room).rglob("*.py")
+]
+WITH_EXAMPLES = [
+    ".".join(file.relative_to(ROOT / room).with_suffix("").parts)
+    for room, file in SOURCES
+    if ">>>" in file.read_text("utf-8")
+]
+"""Modules whose docstrings have examples, which the site shows."""
 LONGEST_README = 700
 
 
@@ -98,6 +109,13 @@ def is_such(other: str, command: str) -> bool:
 def _verb_and_options(words: list[str]) -> tuple[list[str], set[str]]:
     verb = list(itertools.takewhile(re.compile(r"[a-z-]*[a-z]").fullmatch, words))
     return verb, {word for word in words if word.startswith("--")}
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_the_examples_of_docstrings_give_what_they_show(module):
+    ended = doctest.testmod(importlib.import_module(module))
+    assert ended.attempted > 0
+    assert ended.failed == 0
 
 
 def test_every_make_target_named_in_a_sentence_is_one():
