@@ -58,7 +58,7 @@ def searched(seen: Observations, target: Target, *, now_s: Callable[[], float] =
     factors = sorted(_UNITS, key=lambda factor: abs(np.log(shown / factor)) if shown > 0.0 else 0.0)
     units = _units(factors, of_kind.separation and of_kind.separation(sensor, setup))
     tried = [checks.mirrored, *units[:1], *checks.mistakes, *units[1:]]
-    return _judged(chosen, acquirer, tried, now_s() + _TIME_S, now_s)
+    return _compared(chosen, acquirer, tried, now_s() + _TIME_S, now_s)
 
 
 def _units(factors: Sequence[float], frames: Frames[Any] | None) -> list[Mistake]:
@@ -79,7 +79,7 @@ def _width_m(frame: SensorFrame) -> float:
     return float(np.ptp(np.percentile(points_m, (5.0, 95.0), axis=0), axis=0).max())
 
 
-def _judged(
+def _compared(
     frames: Sequence[SensorFrame],
     acquirer: Acquirer[Any],
     mistakes: Sequence[Mistake],

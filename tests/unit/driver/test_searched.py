@@ -14,7 +14,7 @@ from rpod_driver.check import Level, Observations, Options
 from rpod_driver.check.kinds import KindChecks
 from rpod_driver.check.observations import Kept
 from rpod_driver.mistakes import MIRRORED_IMAGE, mirrored_image, mirrored_scan, refocused
-from rpod_driver.searched import _judged, searched
+from rpod_driver.searched import _compared, searched
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import load_target
@@ -115,7 +115,7 @@ class Acquirer:
 def judged(where, *, step_s=0.0):
     """Return the result of a search that finds the target in some frames; a look at the clock takes time."""
     looks = count(1)
-    return _judged(frames(), Acquirer(where), [MIRRORED_IMAGE], 180.0, lambda: step_s * next(looks))
+    return _compared(frames(), Acquirer(where), [MIRRORED_IMAGE], 180.0, lambda: step_s * next(looks))
 
 
 def is_mirrored(frame):
