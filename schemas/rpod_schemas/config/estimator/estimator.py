@@ -212,7 +212,7 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     long exposures; the estimates are then delayed as much."""
     changed_setup: Literal["refuse", "accept"] = "refuse"
     """Treatment of a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
-    not use its frames until a reset; set ``accept`` if a driver may correct them in service, and nobody else
+    not use its frames until a reset. Set ``accept`` if a driver may correct them in service, and nobody else
     can publish."""
     max_future_s: NonNegative = 0.05
     """Largest time by which a frame's stamp may be in the future, s; frames beyond it are not used. Raise it
