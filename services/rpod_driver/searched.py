@@ -6,19 +6,22 @@ a wrong one. No truth is needed.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
+from rpod_driver.check.kinds import checks_of
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, ok, unchecked
 from rpod_driver.check.sightings import points_of
+from rpod_driver.mistakes import Mistake
 from rpod_pose.methods import kind_methods, methods_of
 from rpod_pose.ports import Acquirer
-from rpod_schemas.config.estimator import LidarInput, PmdInput
-from rpod_schemas.types import LidarScan, PmdFrame, SensorFrame
+from rpod_pose.surroundings.frames import Frames
+from rpod_schemas.sensors import sensor_kind
+from rpod_schemas.types import SensorFrame
 from rpod_target import Target
 
 _LINE = "target"
@@ -32,87 +35,40 @@ _SHOWN = 0.7
 width."""
 _TIME_S = 180.0
 """Time after which no further assumption is tried, s; a search in a frame of another unit takes seconds."""
-_INPUTS = {"pmd": PmdInput, "lidar": LidarInput}
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """A mistake of a driver, and the function that undoes it."""
-
-    fault: str
-    """Name in the catalogue."""
-    text: str
-    undo: Callable[[Any], SensorFrame]
-
-
-def mirrored(frame: LidarScan | PmdFrame) -> LidarScan | PmdFrame:
-    """Return a frame with left and right exchanged; reversed rows differ from it by a half turn only."""
-    if isinstance(frame, LidarScan):
-        points_m = frame.points_m * np.array([-1.0, 1.0, 1.0], np.float32)
-        parts = {"points_m": points_m, "intensity": frame.intensity, "time_s": frame.time_s}
-        if frame.organised:
-            parts = {name: None if part is None else part[:, ::-1] for name, part in parts.items()}
-        return frame.model_copy(update=parts)
-    images = {name: getattr(frame, name) for name in ("depth_m", "amplitude", "saturated")}
-    turned = {
-        name: None if image is None else np.ascontiguousarray(image[:, ::-1])
-        for name, image in images.items()
-    }
-    camera = frame.camera.model_copy(update={"cx": frame.camera.width - 1 - frame.camera.cx})
-    return frame.model_copy(update=turned | {"camera": camera})
-
-
-def scaled(factor: float) -> Callable[[Any], SensorFrame]:
-    """Return what multiplies all distances of a frame."""
-
-    def undo(frame: Any) -> SensorFrame:
-        name = "points_m" if isinstance(frame, LidarScan) else "depth_m"
-        copy: SensorFrame = frame.model_copy(update={name: getattr(frame, name) * np.float32(factor)})
-        return copy
-
-    return undo
-
-
-def refocused(factor: float) -> Callable[[PmdFrame], SensorFrame]:
-    """Return what multiplies the focal lengths of a frame."""
-
-    def undo(frame: PmdFrame) -> SensorFrame:
-        focal = {"fx": frame.camera.fx * factor, "fy": frame.camera.fy * factor}
-        return frame.model_copy(update={"camera": frame.camera.model_copy(update=focal)})
-
-    return undo
-
-
-_MIRROR = Mistake("mirrored", "mirrored, or with rows or columns in reverse order", mirrored)
 _UNITS = (1000.0, 0.001, 10.0, 0.1, 100.0, 4.0, 0.25)
 """Ratios of units that drivers use: 1 m, 0.1 m, 1 cm, 1 mm, 0.25 mm, 0.1 mm."""
-_FOCAL = tuple(
-    Mistake("lens_unscaled", f"with {factor:g} times the focal length", refocused(factor))
-    for factor in (0.5, 2.0)
-)
-
-
-def _unit(factor: float) -> Mistake:
-    return Mistake("millimetres", f"with distances divided by {factor:g}", scaled(1.0 / factor))
 
 
 def searched(seen: Observations, target: Target, *, now_s: Callable[[], float] = monotonic) -> CheckResult:
     """Search the target in some of the frames, and name the mistake under which it is found."""
-    if seen.kind not in _INPUTS:
+    checks, kind = checks_of(seen.kind), sensor_kind(seen.kind)
+    if checks.mirrored is None:
         return unchecked(_LINE, f"no search for sensors of kind {seen.kind}")
     if len(seen.kept) < _FRAMES:
         return unchecked(_LINE, f"{len(seen.kept)} frames were read, {_FRAMES} are needed")
     places = np.linspace(0, len(seen.kept) - 1, _FRAMES).astype(int)
     chosen = [seen.kept[place].frame for place in places]
-    sensor: Any = _INPUTS[seen.kind](source=seen.options.source)
-    setup = kind_methods(sensor).setup(sensor, seen.newest_info)
+    sensor: Any = kind.heard.model_validate({"source": seen.options.source})
+    of_kind = kind_methods(sensor)
+    setup = of_kind.setup(sensor, seen.newest_info)
     if setup is None:
-        return unchecked(_LINE, kind_methods(sensor).missing)
+        return unchecked(_LINE, of_kind.missing)
     acquirer = methods_of(sensor, target, setup).acquirer
     shown = _width_m(chosen[0]) / (2.0 * _SHOWN * target.radius_m)
-    units = sorted(_UNITS, key=lambda factor: abs(np.log(shown / factor)) if shown > 0.0 else 0.0)
-    others = [*map(_unit, units[:1]), *(_FOCAL if seen.kind == "pmd" else ()), *map(_unit, units[1:])]
-    return _judged(chosen, acquirer, others, now_s() + _TIME_S, now_s)
+    factors = sorted(_UNITS, key=lambda factor: abs(np.log(shown / factor)) if shown > 0.0 else 0.0)
+    units = _units(factors, of_kind.separation and of_kind.separation(sensor, setup))
+    tried = [checks.mirrored, *units[:1], *checks.mistakes, *units[1:]]
+    return _compared(chosen, acquirer, tried, now_s() + _TIME_S, now_s)
+
+
+def _units(factors: Sequence[float], frames: Frames[Any] | None) -> list[Mistake]:
+    """Return the mistakes of distances in another unit; none for a kind whose frames cannot be scaled."""
+    if frames is None:
+        return []
+    return [
+        Mistake("millimetres", f"with distances divided by {factor:g}", partial(frames.nearer, ratio=factor))
+        for factor in factors
+    ]
 
 
 def _width_m(frame: SensorFrame) -> float:
@@ -123,10 +79,10 @@ def _width_m(frame: SensorFrame) -> float:
     return float(np.ptp(np.percentile(points_m, (5.0, 95.0), axis=0), axis=0).max())
 
 
-def _judged(
+def _compared(
     frames: Sequence[SensorFrame],
     acquirer: Acquirer[Any],
-    others: Sequence[Mistake],
+    mistakes: Sequence[Mistake],
     until_s: float,
     now_s: Callable[[], float],
 ) -> CheckResult:
@@ -136,8 +92,8 @@ def _judged(
     counts = {"found": float(sum(plain)), "searched": float(len(plain))}
     text = f"found in {sum(plain)} of {len(plain)} frames as they are"
     plain += [False] * (len(frames) - len(plain))
-    tried = [_MIRROR, *(() if sum(plain) >= _NEEDED else others)]
-    for mistake in tried:
+    mirror = mistakes[0]
+    for mistake in mistakes[:1] if sum(plain) >= _NEEDED else mistakes:
         if now_s() > until_s:
             return unchecked(_LINE, f"{text}; not all mistakes were tried in {_TIME_S:.0f} s", **counts)
         found = _found_under(mistake, frames, acquirer)
@@ -145,7 +101,7 @@ def _judged(
         worse = sum(there and not here for here, there in zip(found, plain, strict=False))
         if better >= _NEEDED and not worse:
             return fail(_LINE, f"{text}, in {sum(found)} {mistake.text}", mistake.fault, **counts)
-        if mistake is _MIRROR and sum(plain) >= _NEEDED:
+        if mistake is mirror and sum(plain) >= _NEEDED:
             told = f"{text}, in {sum(found)} mirrored"
             if worse >= _NEEDED and not better:
                 return ok(_LINE, told, **counts)

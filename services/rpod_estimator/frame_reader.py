@@ -62,7 +62,7 @@ class Arrived:
     defect: str = ""
     """Defect of the data although the frame can be used, with its remedy; empty if there is none."""
     hint: str = ""
-    """What the sensor's last frames show that may be why they are refused; empty if nothing."""
+    """Fault in the sensor's last frames that may be why they are refused; empty if there is none."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """Evidence in the status that a live run gave to this frame, in a replay of that run."""
 

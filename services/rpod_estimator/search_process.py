@@ -58,7 +58,7 @@ _LONGEST_PAUSE_S = 60.0
 
 @dataclass(frozen=True)
 class Loaded:
-    """What a fork has of the estimator."""
+    """Data of the estimator that a forked process has."""
 
     target: Target
     methods: Methods | None

@@ -28,7 +28,7 @@ class Departure(NamedTuple):
 
 @dataclass
 class BusProcess:
-    """What one process has published, by its Zenoh session. Its memory is bounded.
+    """The messages that one process has published, by its Zenoh session. Its memory is bounded.
 
     Counts of messages are by topic. Times are seconds of the monotonic clock.
     """

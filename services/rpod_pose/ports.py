@@ -252,6 +252,15 @@ class Acquirer(Protocol, Generic[MeasurementT_contra]):
         ...
 
 
+@runtime_checkable
+class ComparingAcquirer(Acquirer[MeasurementT_contra], Protocol[MeasurementT_contra]):
+    """An acquirer that also weighs poses against each other, so that rivals can be tracked."""
+
+    def log_likelihoods(self, measurement: Any, found: Sequence[Registration], /) -> FloatArray:
+        """Return the log likelihoods of one frame at registered poses: ``Likelihoods``."""
+        ...
+
+
 class Tracker(Protocol, Generic[MeasurementT_contra]):
     """Registers one measurement, starting from a predicted pose."""
 

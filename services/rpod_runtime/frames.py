@@ -217,7 +217,7 @@ class LidarReader:
 
     @property
     def hint(self) -> str:
-        """What its scans show that may be why they are refused; empty if nothing."""
+        """Fault in its scans that may be why they are refused; empty if there is none."""
         return self._empty.text
 
     @property
@@ -375,7 +375,7 @@ _OTHER_SIZE = {
         "source.topics"
     ),
 }
-"""What to do about an image of another size."""
+"""Remedy for an image of another size."""
 
 
 def sized(image: Any, size: tuple[int, int], name: str = "") -> Any:

@@ -35,7 +35,7 @@ from rpod_security.roles import ANY, LINK, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 Grant = tuple[Flow, tuple[str, ...], list[str]]
-"""What a member may do: direction, kinds of messages, and key expressions."""
+"""A right of a member: direction, kinds of messages, and key expressions."""
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
 _SHARED = frozenset(
     {TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK, BODY.at("*")}

@@ -41,7 +41,7 @@ class View:
         self._images: dict[str, dict[str, tuple[int, int]]] = {}
         self._eye: Eye | None = None
         self._poses: tuple[object, ...] = ()
-        """What the poses were drawn from."""
+        """Source from which the poses were drawn."""
         self._summary = ""
         recording.send_blueprint(layout({}, None, self._radius_m))
 

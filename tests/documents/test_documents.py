@@ -3,7 +3,10 @@
 How a document has a block treated otherwise stands in ``blocks``, and for authors in CONTRIBUTING.md.
 """
 
+import doctest
 import fcntl
+import importlib
+import itertools
 import json
 import os
 import re
@@ -17,12 +20,25 @@ from pathlib import Path
 
 import pytest
 from blocks import blocks_of
-from playground import PRINTED, ROOT, RUN_S, Playground
+from playground import PRINTED, ROOT, RUN_S, Playground, commands
 
 from rpod_site.documents import tracked
 
 DOCUMENTS = [document for document in tracked(ROOT) if any(blocks_of(ROOT / document))]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+LEFT_OUT = [
+    block for document in DOCUMENTS for block in blocks_of(ROOT / document) if block.kind == "not run"
+]
+ELSEWHERE = re.compile(r"(\S+\.md) has (the same|such)(?: a)? commands?")
+SOURCES = [
+    (room, file) for room in ("schemas", "services", "sim_sensor") for file in (ROOT / room).rglob("*.py")
+]
+WITH_EXAMPLES = [
+    ".".join(file.relative_to(ROOT / room).with_suffix("").parts)
+    for room, file in SOURCES
+    if ">>>" in file.read_text("utf-8")
+]
+"""Modules whose docstrings have examples, which the site shows."""
 LONGEST_README = 700
 
 
@@ -56,6 +72,50 @@ def test_the_blocks_of_a_document_run(document, tmp_path, log_of):
         for block in blocks_of(ROOT / document):
             playground.take(block)
     shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+@pytest.mark.parametrize("block", LEFT_OUT, ids=str)
+def test_a_block_that_another_place_runs_is_run_there(block):
+    for test in re.findall(r"\btests/\S+\.py\b", block.said):
+        assert (ROOT / test).is_file(), block.said
+    if found := ELSEWHERE.fullmatch(block.said):
+        run = [other for other in blocks_of(ROOT / found[1]) if other.language == "sh"]
+        there = [command for other in run if other.kind != "not run" for command in commands(other.text)]
+        for command in commands(block.text):
+            assert any(
+                is_such(other, command) and (found[2] != "the same" or bare(other) == bare(command))
+                for other in there
+            ), command
+
+
+def test_a_command_is_such_as_another_by_its_verb_and_its_options():
+    assert is_such("rpod campaign pmd-sun --seed 7 --trials 2", ".venv/bin/rpod campaign pmd-sun --seed 1")
+    assert not is_such("rpod campaign pmd-sun --seed 7", "rpod campaign pmd-sun --trials 2")
+    assert not is_such("rpod replay run.mcap", "rpod recover run.mcap")
+
+
+def bare(command: str) -> list[str]:
+    """Return the words of a command, the program without its folder."""
+    program, *words = command.split()
+    return [Path(program).name, *words]
+
+
+def is_such(other: str, command: str) -> bool:
+    """Return whether a command has the verb of another one, and at least its options."""
+    verbs, options = zip(*(_verb_and_options(bare(each)) for each in (other, command)), strict=True)
+    return bool(verbs[0] == verbs[1] and options[0] >= options[1])
+
+
+def _verb_and_options(words: list[str]) -> tuple[list[str], set[str]]:
+    verb = list(itertools.takewhile(re.compile(r"[a-z-]*[a-z]").fullmatch, words))
+    return verb, {word for word in words if word.startswith("--")}
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_the_examples_of_docstrings_give_what_they_show(module):
+    ended = doctest.testmod(importlib.import_module(module))
+    assert ended.attempted > 0
+    assert ended.failed == 0
 
 
 def test_every_make_target_named_in_a_sentence_is_one():

@@ -67,6 +67,7 @@ def test_a_pattern_without_a_page_is_refused(tmp_path):
         '<script src="https://example.org/a.js"></script>',
         '<link rel="stylesheet" href="//example.org/a.css">',
         '<img alt="" src=https://example.org/a.png>',
+        '<script type="application/json">{"shim": "https://unpkg.com/iframe-worker@2/shim"}</script>',
     ],
 )
 def test_a_page_that_loads_from_a_network_is_named(tmp_path, loads):
@@ -76,6 +77,23 @@ def test_a_page_that_loads_from_a_network_is_named(tmp_path, loads):
     (tmp_path / "good.html").write_text('<a href="https://example.org">a link is no load</a>', "utf-8")
     (tmp_path / "bad.html").write_text(loads, "utf-8")
     assert [page.name for page, _ in offline.make(tmp_path, shim)] == ["bad.html"]
+
+
+def test_a_site_without_an_index_for_pages_from_a_disk_cannot_be_searched(tmp_path):
+    (tmp_path / "search").mkdir()
+    (tmp_path / "search" / "search_index.json").write_text("{}", "utf-8")
+    assert not offline.is_searchable(tmp_path)
+    (tmp_path / "search" / "search_index.js").write_text("var __index = {}", "utf-8")
+    assert offline.is_searchable(tmp_path)
+
+
+def test_the_shim_of_the_search_is_taken_from_beside_the_pages(tmp_path):
+    (tmp_path / "assets" / "javascripts").mkdir(parents=True)
+    shim, page = tmp_path / "shim.js", tmp_path / "page.html"
+    shim.write_text("", "utf-8")
+    page.write_text('<script>["https://unpkg.com/iframe-worker/shim"]</script>', "utf-8")
+    assert offline.make(tmp_path, shim) == []
+    assert '["assets/javascripts/shim.js"]' in page.read_text("utf-8")
 
 
 def test_links_to_files_are_found_without_anchors_and_addresses():

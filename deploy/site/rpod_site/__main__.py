@@ -23,8 +23,14 @@ def main() -> int:
     outside = offline.make(BUILD / "html", ASSETS / "iframe-worker.js")
     for page, address in outside:
         print(f"{page}: loads {address}; a page of the site loads nothing from a network", file=sys.stderr)
+    searchable = offline.is_searchable(BUILD / "html")
+    if not searchable:
+        print(
+            "the site has no index that a page from a disk can search: see the plugin offline",
+            file=sys.stderr,
+        )
     print(f"site     {BUILD / 'html' / 'index.html'}")
-    return 1 if outside else 0
+    return 1 if outside or not searchable else 0
 
 
 def stage(*, execute: bool) -> None:

@@ -1,1 +1,1 @@
-"""What a host keeps between two starts: compiled kernels, the folder of built targets, whole files."""
+"""Caches that a host keeps between two starts: compiled kernels, the folder of built targets, whole files."""

@@ -87,7 +87,7 @@ class UserWide(_Watching, caching.UserWideCacheLocator):
 
 
 class _Used(NamedTuple):
-    """What kernels can use of a module."""
+    """Content of a module that kernels can use."""
 
     names: Mapping[str, Any]
     """Names of the module, kept so that no other dictionary has their identity."""
@@ -100,7 +100,7 @@ class _Used(NamedTuple):
 
 
 _of_imported: dict[int, _Used] = {}
-"""What was found in modules that are imported to their end, by the identity of their names."""
+"""Contents of modules that are imported to their end, by the identity of their names."""
 
 
 def _parts(names: Mapping[str, Any]) -> list[str]:

@@ -174,7 +174,7 @@ RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict"
 
 
 REMOVED = {"coasting_after_s": "remove it; the estimator's stale_after_s counts for it too"}
-"""What to do about fields that configuration files do not have any more, by name."""
+"""Remedies for fields that configuration files do not have any more, by name."""
 
 
 def check(model: type[Model], document: Any, *, source: Path | str) -> Model:

@@ -91,7 +91,8 @@ class AlertLimit(Config):
     """Position, m. Set it where the tolerance does not depend on the range; then ``range_share`` does not
     count."""
     range_share: Positive = 0.01
-    """Position as a share of the range to the target's origin."""
+    """Position as a share of the range to the target's origin. Set it where the tolerance grows with the
+    range, and leave ``position_m`` out."""
 
     def position_limit_m(self, range_m: float) -> float:
         """Return the limit of the position at a range, m."""
@@ -108,7 +109,8 @@ class SensorInput(Kinded):
     name: Name
     """Name of the sensor: the first part of its topics."""
     T_chaser_sensor: Mount | None = None
-    """Mount of the sensor, if tf_static does not give it, or the file of ``rpod calibrate mount``."""
+    """Mount of the sensor, or the file of ``rpod calibrate mount``. Set it if tf_static does not give the
+    mount; where both give it, they must agree."""
     range_m: Range | None = None
     """Least and greatest distance to the target's origin at which the sensor is used, m. Set it where the
     sensor's poses are worse than another sensor's beyond it: a camera's frames of a target that is a few

@@ -8,6 +8,7 @@ from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import resolve
 from rpod_schemas.topics import Topic
+from rpod_schemas.types import SensorFrame, SensorInfo
 
 Role = Literal["acquisition", "tracking"]
 """Role of a method: to find the target without a guess, or to track it from a predicted pose."""
@@ -55,6 +56,10 @@ class SensorKind:
     """Reference to the ``rpod_pose.ports.KindMethods`` that build and warm up the methods."""
     info: Topic | None = None
     """Latched message in which the sensor describes itself."""
+    frame: type[SensorFrame] | None = None
+    """Model of a frame; without it, a driver in a process of its own (``process``) cannot bring the kind."""
+    info_model: type[SensorInfo] | None = None
+    """Model of the content of ``info``, for such a driver."""
     checks: str = ""
     """Reference to an ``rpod_driver.check.kinds.KindChecks``: lines of ``rpod driver check`` for this kind
     alone; without it, only what holds for any sensor is checked."""

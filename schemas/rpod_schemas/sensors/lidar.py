@@ -6,12 +6,15 @@ from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, Templat
 from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import LIDAR_INFO, POINTS
+from rpod_schemas.types import LidarInfo, LidarScan
 
 LIDAR = SensorKind(
     name="lidar",
     title="LIDAR",
     parts={"points": Part(POINTS)},
     info=LIDAR_INFO,
+    frame=LidarScan,
+    info_model=LidarInfo,
     emulated=LidarConfig,
     heard=LidarInput,
     reader="rpod_runtime.frames:LidarReader",

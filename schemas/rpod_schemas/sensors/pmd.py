@@ -8,6 +8,7 @@ from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig, SignedD
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
 from rpod_schemas.sensors.kind import Method, Part, SensorKind
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, DEPTH, DEPTH_SIGMA, PHASE, PMD_INFO
+from rpod_schemas.types import PmdFrame, PmdInfo
 
 PMD = SensorKind(
     name="pmd",
@@ -18,6 +19,8 @@ PMD = SensorKind(
         "amplitude": Part(AMPLITUDE, required=False),
     },
     info=PMD_INFO,
+    frame=PmdFrame,
+    info_model=PmdInfo,
     extras=(PHASE, DEPTH_SIGMA),
     emulated=PmdConfig,
     heard=PmdInput,

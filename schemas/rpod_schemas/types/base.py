@@ -1,4 +1,4 @@
-"""What all domain types share: frozen models with checked arrays, stamps and frames."""
+"""Base of all domain types: frozen models with checked arrays, stamps and frames."""
 
 from typing import Annotated, Any
 

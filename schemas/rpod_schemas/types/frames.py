@@ -104,7 +104,7 @@ class SensorFrame(Stamped):
 
 
 class SensorInfo(Model):
-    """What a sensor says of itself; a kind adds its data."""
+    """Info message of a sensor, in which it describes itself; a kind adds its data."""
 
     @property
     def duration_s(self) -> float:

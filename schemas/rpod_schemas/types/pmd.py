@@ -65,7 +65,7 @@ class PmdFrame(SensorFrame):
 
     depth_m: Floats
     """z-depth, m, shape (height, width); NaN for pixels without depth."""
-    amplitude: Image | None
+    amplitude: Image | None = None
     """Received amplitude, shape (height, width), uint8, uint16 or float32; None if it was not sent."""
     camera: Camera
     info: PmdInfo | None = None

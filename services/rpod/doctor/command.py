@@ -54,7 +54,7 @@ def doctor_command(
 
 @dataclass
 class _Subject:
-    """What is examined beside the host itself."""
+    """Things that are examined beside the host itself."""
 
     bus: BusConfig
     listen: str | None = None

@@ -26,6 +26,7 @@ from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.service import BusConfig, ServiceConfig
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import ConfigurationError, SchemaError
+from rpod_schemas.sensors import sensor_kinds
 
 _SILENCE = "silence"
 """Fault of a sensor from which no frame arrived."""
@@ -98,12 +99,17 @@ def _driver(options: CheckOptions) -> tuple[DriverConfig, BusConfig]:
     if options.config:
         driver = driver_of(options.config, options.kind)
     else:
-        kind = options.kind or ("lidar" if options.name.startswith("lidar") else "pmd")
+        kind = options.kind or kind_of_name(options.name)
         driver = check(DriverConfig, {"kind": kind, "name": options.name}, source="rpod driver check")
     # A driver waits for its router; a check reports that there is none.
     bus = driver.bus.model_dump() | {"wait": options.wait}
     bus |= {"connect": options.connect} if options.connect else {}
     return driver, check(BusConfig, bus, source="rpod driver check")
+
+
+def kind_of_name(name: str) -> str:
+    """Return the kind whose name a sensor's name begins with; that of a PMD camera for any other name."""
+    return next((kind.name for kind in sensor_kinds() if name.startswith(kind.name)), "pmd")
 
 
 def driver_of(file: Path, kind: str | None = None) -> DriverConfig:

@@ -56,7 +56,10 @@ def run(
 def check(
     name: Annotated[str, typer.Argument(help="Name of the sensor: the first part of its topics.")] = "pmd",
     kind: Annotated[
-        str | None, typer.Option("--kind", help="Kind of the sensor; by default pmd, or lidar for that name.")
+        str | None,
+        typer.Option(
+            "--kind", help="Kind of the sensor; by default that with which the name begins, or pmd."
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", help="Configuration of the driver, for name, kind and bus.")

@@ -47,7 +47,7 @@ _ACCEPTED = {
     (Mode.TRACKING, Mode.VERIFYING): "the track was lost and begun again by one frame",
     (Mode.COASTING, Mode.VERIFYING): "the track was lost and begun again by one frame",
 }
-"""What the accepted measurement of a frame means for a change of the navigator's state."""
+"""Meaning of a frame's accepted measurement for a change of the navigator's state."""
 
 
 @dataclass(frozen=True)

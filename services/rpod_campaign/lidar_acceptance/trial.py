@@ -81,7 +81,7 @@ class CheckedMethod:
         )
         config = GlobalSearchConfig()
         self._acquirer = methods_of(sensor, target, pattern).acquirer
-        self._judges_itself = sensor.acquisition == config
+        self._searches_by_itself = sensor.acquisition == config
         self._check = GlobalSearch(config, target, pattern)
         self._fine = ProjectiveIcp(config.tracking, target, pattern)
         paper = IcpNearestNeighbourConfig.model_validate(MATCHERS["nearest-neighbour"])
@@ -90,7 +90,7 @@ class CheckedMethod:
     def checked(self, scan: LidarScan) -> Acquisition:
         """Return the method's acquisition, with the result of the facility's check."""
         found = self._acquirer.acquire(scan)
-        if self._judges_itself or found.pose is None:
+        if self._searches_by_itself or found.pose is None:
             return found
         return self._check.verify(scan, found.pose)
 

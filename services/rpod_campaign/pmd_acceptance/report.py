@@ -12,7 +12,7 @@ from rpod_campaign.engine.report.statistics import rate
 from rpod_campaign.pmd_acceptance.trial import OFF_DEG, OFF_M, AcceptanceCell
 
 Results = Sequence[CellResult[AcceptanceCell]]
-_JUDGES = ("acquisition", "tracker")
+_METHODS = ("acquisition", "tracker")
 
 
 def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -20,15 +20,15 @@ def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
     parameters = asdict(cell)
     del parameters["document"]
     counts: dict[str, Any] = {}
-    for judge in _JUDGES:
-        accepted, right = rows[f"{judge}_accepted"], rows[f"{judge}_right"]
-        alike = rows[f"{judge}_alike"].fill_null(value=False)
+    for method in _METHODS:
+        accepted, right = rows[f"{method}_accepted"], rows[f"{method}_right"]
+        alike = rows[f"{method}_alike"].fill_null(value=False)
         counts |= {
-            f"{judge}_accepted": int(accepted.sum()),
-            f"{judge}_accepted_alike": int((accepted & alike).sum()),
-            f"{judge}_right": int(right.sum()),
-            f"{judge}_right_refused": int((right & ~accepted).sum()),
-            f"{judge}_wrong_accepted": int((accepted & ~right).sum()),
+            f"{method}_accepted": int(accepted.sum()),
+            f"{method}_accepted_alike": int((accepted & alike).sum()),
+            f"{method}_right": int(right.sum()),
+            f"{method}_right_refused": int((right & ~accepted).sum()),
+            f"{method}_wrong_accepted": int((accepted & ~right).sum()),
         }
     counts["ambiguous"] = int(rows["ambiguous"].sum())
     counts["tracked_after"] = int(rows["tracked_after"].sum())
@@ -56,25 +56,25 @@ def sections(results: Results) -> list[Section]:
 
 def _right_table(results: Results) -> Table:
     rows = [
-        (case, judge, *_share(s["trials"] - s[f"{judge}_accepted"], s), str(s[f"{judge}_wrong_accepted"]))
-        for case, judge, s in _judged(results)
+        (case, method, *_share(s["trials"] - s[f"{method}_accepted"], s), str(s[f"{method}_wrong_accepted"]))
+        for case, method, s in _by_method(results)
     ]
-    columns = ("case", "judge", "not accepted", "share", "wrong accepted")
+    columns = ("case", "method", "not accepted", "share", "wrong accepted")
     return Table("Right frames not accepted", columns, tuple(rows)).condensed(2)
 
 
 def _spoiled_table(results: Results) -> Table:
     rows = [
-        (case, judge, *_share(s[f"{judge}_accepted"], s), str(s[f"{judge}_accepted_alike"]))
-        for case, judge, s in _judged(results)
+        (case, method, *_share(s[f"{method}_accepted"], s), str(s[f"{method}_accepted_alike"]))
+        for case, method, s in _by_method(results)
     ]
-    columns = ("case", "judge", "accepted", "share", "of these alike")
+    columns = ("case", "method", "accepted", "share", "of these alike")
     return Table("Accepted frames of other objects", columns, tuple(rows)).condensed(2)
 
 
-def _judged(results: Results) -> list[tuple[str, str, Row]]:
-    """Return case, judge and summary for each judge of each cell."""
-    return [(result.cell.case, judge, result.summary) for result in results for judge in _JUDGES]
+def _by_method(results: Results) -> list[tuple[str, str, Row]]:
+    """Return case, method and summary for each method of each cell."""
+    return [(result.cell.case, method, result.summary) for result in results for method in _METHODS]
 
 
 def _share(count: int, summary: Row) -> tuple[str, str]:

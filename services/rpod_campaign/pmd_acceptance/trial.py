@@ -24,7 +24,7 @@ from rpod_campaign.pmd.scene import Stage, camera_of, off, scenario_of, still
 from rpod_campaign.pmd.world import World
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.methods import ready_methods
-from rpod_pose.pmd.frame_check import SeenPixels, contradictions
+from rpod_pose.pmd.joint.check.frame_check import SeenPixels, contradictions
 from rpod_pose.pmd.rendering import Rendering
 from rpod_pose.ports import Methods, Outcome
 from rpod_schemas.arrays import FloatArray

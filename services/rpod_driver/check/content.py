@@ -14,7 +14,7 @@ from rpod_runtime.sensor_data.empty_lines import EmptyLines
 from rpod_runtime.sensor_data.exposure_watch import LEAST_VOTES, summed, votes
 from rpod_runtime.sensor_data.scan_grid import angles_of
 from rpod_schemas.errors import Reason
-from rpod_schemas.types import LidarScan, PmdFrame
+from rpod_schemas.types import PmdFrame
 
 _NEAR_M = 0.01
 _SATURATED_SHARE = 0.1
@@ -102,8 +102,8 @@ def _empty_lines(seen: Observations) -> str:
     """Return which rows and columns of organised scans never have a return between others that do."""
     lines = EmptyLines()
     for kept in seen.kept:
-        if isinstance(kept.frame, LidarScan) and kept.frame.organised:
-            lines.add(kept.frame.points_m)
+        if (grid_m := kept.frame.grid_m) is not None:
+            lines.add(grid_m)
     return lines.text
 
 

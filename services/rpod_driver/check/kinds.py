@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from rpod_driver.check import content, plane, setup
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult
+from rpod_driver.mistakes import FOCAL_LENGTHS, MIRRORED_IMAGE, MIRRORED_SCAN, Mistake
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import sensor_kind
 
@@ -20,13 +21,19 @@ class KindChecks:
     """Greatest plausible median distance, m: no flash camera and no scanner sees a target beyond it."""
     why: str = "no scanner of a facility sees farther"
     """Reason for it."""
+    mirrored: Mistake | None = None
+    """Mistake of mirrored frames; without it, ``--search`` does not search the target in the frames."""
+    mistakes: tuple[Mistake, ...] = ()
+    """Further mistakes under which the target is searched, beside another unit of length."""
 
 
-LIDAR_CHECKS = KindChecks((setup.grid, setup.axes, setup.point_times))
+LIDAR_CHECKS = KindChecks((setup.grid, setup.axes, setup.point_times), mirrored=MIRRORED_SCAN)
 PMD_CHECKS = KindChecks(
     (setup.mirrored, content.values, content.saturation, content.exposure, plane.depth_model, setup.lens),
     farthest_m=100.0,
     why="no camera with a lamp sees farther",
+    mirrored=MIRRORED_IMAGE,
+    mistakes=FOCAL_LENGTHS,
 )
 
 

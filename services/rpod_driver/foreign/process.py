@@ -12,11 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Event, Thread
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
@@ -26,9 +26,12 @@ from rpod_runtime.process.notify import manager
 from rpod_runtime.process.processes import end_process
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
+from rpod_schemas.sensors import sensor_kind, sensor_kinds
+from rpod_schemas.types import SensorFrame, SensorInfo, SensorSync
 
 log = logging.getLogger(__name__)
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _TAIL_LINES = 10
 _WAITING = 2
@@ -40,8 +43,6 @@ _END_S = 2.0
 """Time in which a process ends after its input was closed, s."""
 _INHERITED = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "CONDA_PREFIX")
 """Variables that describe this process's Python environment, which the driver process must not get."""
-_INFO: dict[str, type[LidarInfo] | type[PmdInfo]] = {"lidar": LidarInfo, "pmd": PmdInfo}
-_FRAME: dict[str, type[LidarScan] | type[PmdFrame]] = {"lidar": LidarScan, "pmd": PmdFrame}
 
 
 class ForeignDriver:
@@ -54,7 +55,7 @@ class ForeignDriver:
         script: Path,
         arguments: Sequence[str] = (),
     ) -> None:
-        self._name, self._kind, self._environment = config.name, config.kind, environment
+        self._name, self._kind, self._environment = config.name, sensor_kind(config.kind), environment
         self._command = [str(environment.python), str(script), *arguments]
         self._shown = f"{environment.python} {script.name}"
         self._process: subprocess.Popen[bytes] | None = None
@@ -73,7 +74,7 @@ class ForeignDriver:
         """Take the event that ends the wait for the device."""
         self._stop = stop
 
-    def connect(self) -> LidarInfo | PmdInfo | None:
+    def connect(self) -> SensorInfo | None:
         """Start the process and wait until its device is open.
 
         Raises:
@@ -183,7 +184,7 @@ class ForeignDriver:
         self._threads[1].join(_END_S)
         return how
 
-    def _info(self, message: frame_pipe.Message | None) -> LidarInfo | PmdInfo | None:
+    def _info(self, message: frame_pipe.Message | None) -> SensorInfo | None:
         if message is None:
             waited_s = self._environment.start_s
             raise ForeignDriverError(
@@ -198,7 +199,7 @@ class ForeignDriver:
         self._common = dict(message.fields.get("frame", {}))
         log.info("%s: %s", self._name, message.fields.get("text", "the device is open"))
         told = {**message.fields.get("info", {}), **message.arrays}
-        return self._checked(_INFO, told) if told else None
+        return self._checked(self._kind.info_model, told) if told else None
 
     def _frame(self, message: frame_pipe.Message) -> SensorFrame:
         fields = {**self._common, **message.fields}
@@ -206,17 +207,15 @@ class ForeignDriver:
         if partial:
             self._log_partial(str(partial))
         stamp_ns = self._stamps.utc_ns(device_ns, after_ns=_after_ns(message.arrays.get("time_s")))
-        made: SensorFrame = self._checked(
-            _FRAME, {"frame_id": "", **fields, **message.arrays, "stamp_ns": stamp_ns}
+        return self._checked(
+            self._kind.frame, {"frame_id": "", **fields, **message.arrays, "stamp_ns": stamp_ns}
         )
-        return made
 
-    def _checked(self, models: dict[str, Any], values: dict[str, Any]) -> Any:
-        model = models.get(self._kind)
+    def _checked(self, model: type[ModelT] | None, values: dict[str, Any]) -> ModelT:
         if model is None:
-            raise ForeignDriverError(self._shown, f"cannot bring a {self._kind!r}, but pmd or lidar")
-        if model is PmdFrame:
-            values = {"amplitude": None, **values}
+            able = ", ".join(kind.name for kind in sensor_kinds() if kind.frame is not None)
+            reason = f"cannot bring what a {self._kind.title} sends: its kind names no model of it"
+            raise ForeignDriverError(self._shown, f"{reason}; frames may be of {able}")
         try:
             return model.model_validate(values)
         except ValidationError as error:

@@ -86,7 +86,7 @@ class SensorBook:
         self.defect = ""
         """Defect of its newest frame although it can be used; empty if there is none."""
         self.hint = ""
-        """What its newest frames show that may be why they are refused; empty if there is nothing."""
+        """Fault in its newest frames that may be why they are refused; empty if there is none."""
         self.clock = ""
         """How its stamps and the arrival of its frames contradict each other; empty if they do not."""
         self.drift = ""

@@ -21,7 +21,7 @@ _REMEDY = {
     True: "it is not used, the one before it still counts; correct its publisher",
     False: "it is not used; correct its publisher",
 }
-"""What follows, and what to do, for latched messages and for those of a stream."""
+"""Consequence and remedy, for latched messages and for those of a stream."""
 
 
 class _Refusal(NamedTuple):

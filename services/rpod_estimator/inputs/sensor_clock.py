@@ -1,4 +1,4 @@
-"""What the stamps of a sensor's frames show of its clock, beside the clock of this machine.
+"""Faults of a sensor's clock that its stamps show beside the clock of this machine.
 
 Not used in lockstep, where the time of the bus is the time of the stamps.
 """

@@ -146,7 +146,8 @@ class JointSolver:
 
         Where the parts of a joint are most of the target, fitting the one with the other fixed leads along a
         narrow valley. Each step is that of least squares by pose and angles, with Geman-McClure weights whose
-        scale narrows.
+        scale narrows. The loop is not that of ``registration.gauss_newton``, whose sums have seven unknowns:
+        here each joint adds one.
 
         Args:
             points_m: measured points, sensor axes, shape (N, 3).

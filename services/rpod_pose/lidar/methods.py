@@ -14,7 +14,7 @@ from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_view import HIDDEN_M, ScanView, returns_of
-from rpod_pose.ports import Acquirer, KindMethods, Methods, Task, Tracker
+from rpod_pose.ports import Acquirer, ComparingAcquirer, KindMethods, Methods, Task, Tracker
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_pose.surroundings.acquirer import AcquirerAmongThings
 from rpod_pose.surroundings.separation import Label, RangeImage
@@ -73,7 +73,7 @@ def make(task: Task) -> Methods:
     sensor, tracker = task.sensor, _tracker(task)
     task = task.with_tracker(tracker)
     acquirer = method("lidar", sensor.acquisition.kind).built(sensor.acquisition, task)
-    likelihoods = acquirer.log_likelihoods if isinstance(acquirer, GlobalSearch) else None
+    likelihoods = acquirer.log_likelihoods if isinstance(acquirer, ComparingAcquirer) else None
     among_things = TrackerAmongThings(tracker, ScanFrames(task.setup), task.target, touching=True)
     searched = AcquirerAmongThings(acquirer, among_things, likelihoods)
     return Methods(searched, among_things, deskewed, likelihoods)

@@ -16,6 +16,7 @@ import numpy as np
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_pose.lidar.outline.steps import Scene, outline_steps
+from rpod_pose.lidar.posterior.step_posterior import Steps, propagated
 from rpod_pose.lidar.scan_alignment import (
     FEWEST,
     FaceFit,
@@ -38,7 +39,6 @@ from rpod_pose.lidar.scan_view import ScanView, spacing_rad
 from rpod_pose.registration.field_alignment import FieldProblem, Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.normal_equations import gradient_of, information_of, no_sums
-from rpod_pose.registration.step_posterior import Steps, propagated
 from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
@@ -60,7 +60,7 @@ a chi-square variable, for six unknowns."""
 
 
 class Reach(NamedTuple):
-    """How far a predicted pose may be off, and what the outline can tell."""
+    """Limits of predictions, and the resolution of the outline: the rays and the target's size."""
 
     near_share: float
     """Share of agreeing rays from which a prediction counts as close."""

@@ -139,7 +139,7 @@ class Navigator:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         if state.mode == Mode.TRACKING and not before.mode.has_track:  # the others track it from now on
             state = replace(state, searches={})
-        return state, self._judged(state, output)
+        return state, self._with_alert_limit(state, output)
 
     def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         if state.given is not None:
@@ -188,7 +188,7 @@ class Navigator:
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
-        return state, self._judged(state, output)
+        return state, self._with_alert_limit(state, output)
 
     def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
         """Return the report about a search whose result waits for the next frame of its sensor.
@@ -199,9 +199,9 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         told = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=told)
-        return self._judged(state, output.with_evidence(BEGUN, 1.0))
+        return self._with_alert_limit(state, output.with_evidence(BEGUN, 1.0))
 
-    def _judged(self, state: NavigatorState, output: Output) -> Output:
+    def _with_alert_limit(self, state: NavigatorState, output: Output) -> Output:
         """Return an output that says whether its covariance makes it unusable."""
         if output.odometry is None:
             return output
@@ -397,4 +397,4 @@ class Navigator:
         state, reason = self._coasting.aged(state, tick.stamp_ns)
         reason = reason or f"no frame for {silent_s:.1f} s"
         state, output = self._results.silent(state, tick.stamp_ns, reason)
-        return state, self._judged(state, output)
+        return state, self._with_alert_limit(state, output)

@@ -142,7 +142,7 @@ REMEDY = (
     "show another side or come nearer; a turn that does not matter may stand as exact among the symmetries "
     "of the target file"
 )
-"""What an operator can do where rivals remain."""
+"""Remedy where rivals remain, for the operator."""
 UNLISTED = log(1e-3)
 """Log likelihood of a pose that a search does not list, relative to its best (``hypotheses.NEGLIGIBLE``).
 Numerics: the least weight that a search lists."""

@@ -24,8 +24,8 @@ from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, cast_pose
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
+from rpod_pose.pmd.simpler_surface import Surface
 from rpod_pose.registration.lie_group import PoseArrays, turned
-from rpod_pose.search.simpler_surface import Surface
 from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig

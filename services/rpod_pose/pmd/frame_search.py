@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from rpod_pose.pmd.fit import PmdFit, PmdFitter
 from rpod_pose.pmd.scene import PmdScene
+from rpod_pose.pmd.simpler_surface import Surface
 from rpod_pose.registration.distance_field import FieldArrays, field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.lie_group import PoseArrays
@@ -19,7 +20,6 @@ from rpod_pose.search.attitude_grid import within
 from rpod_pose.search.comparison import Comparison
 from rpod_pose.search.energy import NOTHING_IN_VIEW
 from rpod_pose.search.even_samples import sobol
-from rpod_pose.search.simpler_surface import Surface
 from rpod_pose.search.turns import Placed, Turns, matrices
 from rpod_pose.search.view_model import ViewModel
 from rpod_schemas.arrays import FloatArray

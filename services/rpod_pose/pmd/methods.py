@@ -22,12 +22,19 @@ from rpod_pose.pmd.paper_2018.hybrid import HybridTracker
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
 from rpod_pose.pmd.view_search import ViewSearch
-from rpod_pose.ports import Acquirer, ComparingTracker, KindMethods, Methods, Task, Tracker
+from rpod_pose.ports import (
+    Acquirer,
+    ComparingAcquirer,
+    ComparingTracker,
+    KindMethods,
+    Methods,
+    Task,
+    Tracker,
+)
 from rpod_pose.surroundings.acquirer import AcquirerAmongThings
 from rpod_pose.surroundings.tracker import TrackerAmongThings
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.amplitude import EpnpConfig, HybridConfig
-from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig, SignedDistanceConfig
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
@@ -50,7 +57,7 @@ LEAST_BIAS_M = 0.001
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
     """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
-    if isinstance(task.tracker, ComparingTracker) and task.sensor.tracking.kind == "joint":
+    if isinstance(task.tracker, ComparingTracker) and isinstance(task.sensor.tracking, JointConfig):
         return ViewSearch(config, task.target, task.tracker)
     finisher = joint(JointConfig(), task)
     return ViewSearch(config, task.target, TrackerAmongThings(finisher, frames_of(task.sensor), task.target))
@@ -61,26 +68,16 @@ def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
     calibration = task.sensor.calibration
     if calibration is not None:
         tuning = config.tuning
-        left = tuning.depth.calibrated.model_copy(update={"bias_m": _bias_m(config, calibration)})
+        bias_m = max(tuning.depth.shared_bias_m(calibration), LEAST_BIAS_M)
+        left = tuning.depth.calibrated.model_copy(update={"bias_m": bias_m})
         depth = tuning.depth.model_copy(update={"calibrated": left})
         config = config.model_copy(update={"tuning": tuning.model_copy(update={"depth": depth})})
     return JointTracker(config, task.target, calibrated=calibration is not None)
 
 
-def _bias_m(config: JointConfig, calibration: DepthCalibration | None) -> float:
-    """Return the standard deviation of the error that all ranges of a frame share."""
-    depth = config.tuning.depth
-    if calibration is None:
-        return depth.raw.bias_m
-    if calibration.evidence is None:
-        return depth.calibrated.bias_m
-    return max(calibration.evidence.bias_after_m, LEAST_BIAS_M)
-
-
 def frames_of(sensor: PmdInput) -> PmdFrames:
     """Return the separation of a camera's frames."""
-    config = sensor.tracking if isinstance(sensor.tracking, JointConfig) else JointConfig()
-    return PmdFrames(_bias_m(config, sensor.calibration))
+    return PmdFrames(max(sensor.range_offset_sigma_m, LEAST_BIAS_M))
 
 
 def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:
@@ -119,7 +116,7 @@ def make(task: Task) -> Methods:
         PreparedAcquirer(AcquirerAmongThings(acquirer, tracker), preparation),
         PreparedTracker(tracker, preparation),
         likelihoods=prepared_likelihoods(acquirer.log_likelihoods, preparation)
-        if isinstance(acquirer, ViewSearch)
+        if isinstance(acquirer, ComparingAcquirer)
         else None,
     )
 

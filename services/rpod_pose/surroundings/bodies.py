@@ -119,7 +119,7 @@ class KnownBodies:
         self.tracks: dict[str, FrameTrack] = {frame: FrameTrack() for frame in frames}
         """Readings of the frames that move, by name."""
         self.book = BodyBook()
-        """What the frames have shown of the bodies."""
+        """Results of the frames about the bodies."""
 
     @classmethod
     def of(cls, bodies: Mapping[str, KnownBody], folder: Path) -> Self | None:

@@ -56,7 +56,7 @@ def supported(
         whole = track(again.pose)
         supports = whole.belief.level is BeliefLevel.ACCEPTED and whole.continues_track
         if supports and left_by is not None and alike(again.pose, left_by):
-            return _judged(again, whole) if _as_many(whole, found.registration) else found
+            return _in_whole_frame(again, whole) if _as_many(whole, found.registration) else found
         if number == ROUNDS or not (supports or likely):
             break
         left_by = whole.T_sensor_target if supports else None
@@ -81,7 +81,7 @@ def _as_many(whole: Registration, first: Registration) -> bool:
     return whole.inliers >= first.inliers - sqrt(first.inliers)
 
 
-def _judged(found: Acquisition, whole: Registration) -> Acquisition:
+def _in_whole_frame(found: Acquisition, whole: Registration) -> Acquisition:
     """Return an acquisition with the registration in the whole frame, and the rivals from the search."""
     ranked = found.belief
     belief = replace(whole.belief, insufficient=ranked.insufficient)

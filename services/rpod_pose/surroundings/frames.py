@@ -1,4 +1,4 @@
-"""What a sensor kind offers so that its frames can be separated into the target's part and other things."""
+"""The interface by which frames of a sensor kind are separated into the target's part and other things."""
 
 from typing import Protocol, TypeVar
 

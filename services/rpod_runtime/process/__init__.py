@@ -1,1 +1,1 @@
-"""What a service does as a process: its life, its reserve, its manager, and other processes."""
+"""The process of a service: its life, its reserve, its manager, and other processes."""

@@ -39,7 +39,7 @@ ALARM = "second_service"
 
 @dataclass(frozen=True)
 class Sole:
-    """What a service wants to be alone with: its name, and topics."""
+    """Name and topics that a service wants for itself alone."""
 
     topics: tuple[Topic, ...] = ()
     """Topics that nobody else may publish."""

@@ -1,1 +1,1 @@
-"""What messages of sensors need before they are frames: codecs, mounts, rays, stamps, reduced rates."""
+"""From messages of sensors to frames: codecs, mounts, rays, stamps, reduced rates."""

@@ -31,7 +31,7 @@ class Last(NamedTuple):
     after_s: float
     """Time from the stamp to the last measurement, s."""
     what: str
-    """What that is, in words."""
+    """Name of this measurement, in words."""
     begins_s: float | None = None
     """Latest time from the stamp at which the scan began, s; None if its points do not tell."""
     lasts_s: float = 0.0

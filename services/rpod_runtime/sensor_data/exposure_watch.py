@@ -89,7 +89,7 @@ class ExposureWatch:
 
     @property
     def text(self) -> str:
-        """What is wrong, with the remedy; empty if nothing is known to be."""
+        """Fault that was found, with the remedy; empty if none is known."""
         total = summed(self._pairs)
         if not total.is_behind:
             return ""

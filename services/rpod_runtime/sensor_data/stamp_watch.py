@@ -18,7 +18,7 @@ _LEAST_SECONDS = 10
 TAI_S = 37.0
 """Time by which TAI is ahead of UTC since 2017."""
 _UNITS = {"milliseconds": 1e-6, "microseconds": 1e-3, "seconds": 1e-9}
-"""What a driver may have counted in place of nanoseconds, with the factor by which stamps are too small."""
+"""Units that a driver may count in place of nanoseconds, with the factor by which stamps are too small."""
 _LATENCY_S = 1.0
 _ZONE_S = 1800.0
 """Time zones differ by multiples of it."""

@@ -38,7 +38,7 @@ class Viewer:
 
     @property
     def how(self) -> str:
-        """What becomes of the drawing there, for the operator."""
+        """How the drawing reaches the viewer, in words for the operator."""
         return "written to" if self.process is None else "shown in"
 
     @property

@@ -92,7 +92,7 @@ class _Surface:
     material: NDArray[np.int32]
     seen: NDArray[np.bool_]
     back_parts: NDArray[np.int32]
-    """For each part beyond those of the parameters, the index of the part whose back it is, shape (B,)."""
+    """Index of the part whose back it is, for each part beyond those of the parameters, shape (B,)."""
 
 
 def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> None:

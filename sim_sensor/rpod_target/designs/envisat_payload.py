@@ -1,4 +1,4 @@
-"""What ENVISAT carries: antennas and instruments; sources and assumptions are in ``envisat.py``."""
+"""The payload of ENVISAT: antennas and instruments; sources and assumptions are in ``envisat.py``."""
 
 import numpy as np
 import trimesh

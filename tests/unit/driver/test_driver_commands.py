@@ -1,11 +1,12 @@
 """The verbs of ``rpod driver``, as far as they need no bus."""
 
 import sys
+from types import SimpleNamespace
 
 import pytest
 import yaml
 
-from rpod.driver.check import driver_of
+from rpod.driver.check import driver_of, kind_of_name
 from rpod.driver.command import run_command
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.registry import resolve
@@ -32,6 +33,15 @@ def written(folder, **document):
 def test_a_check_takes_kind_name_and_bus_of_the_configuration_of_any_driver(tmp_path, document, kind):
     found = driver_of(written(tmp_path, name="front", bus=BUS, **document))
     assert (found.kind, found.name, found.bus.connect) == (kind, "front", BUS["connect"])
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("pmd", "pmd"), ("lidar_front", "lidar"), ("mono2", "mono"), ("front", "pmd")]
+)
+def test_a_check_without_a_kind_takes_that_with_which_the_name_begins(name, kind, monkeypatch):
+    installed = [SimpleNamespace(name=known) for known in ("lidar", "mono", "pmd")]
+    monkeypatch.setattr("rpod.driver.check.sensor_kinds", lambda: installed)
+    assert kind_of_name(name) == kind
 
 
 def test_a_check_of_a_configuration_whose_kind_nothing_tells_asks_for_it(tmp_path):

@@ -9,6 +9,7 @@ import sys
 import time
 import tomllib
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -21,6 +22,7 @@ from hypothesis.extra import numpy as arrays
 from rpod_driver.adapters.process import ProcessConfig, open_driver
 from rpod_driver.errors import ForeignDriverError, StoppedError
 from rpod_driver.foreign import frame_pipe
+from rpod_schemas.sensors import sensor_kind
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "tests" / "driver_script.py"
@@ -105,6 +107,15 @@ def test_frames_come_in_their_order_and_the_source_ends():
     assert {frame.amplitude.dtype for frame in got} == {np.dtype(np.uint16)}
     assert {frame.camera.fx for frame in got} == {5.0}
     assert (np.diff([frame.stamp_ns for frame in got]) > 0).all()
+
+
+def test_a_kind_that_names_no_model_of_a_frame_is_refused_with_those_that_do(monkeypatch):
+    without = replace(sensor_kind("pmd"), frame=None)
+    monkeypatch.setattr("rpod_driver.foreign.process.sensor_kind", lambda _: without)
+    reason = (
+        "cannot bring what a PMD camera sends: its kind names no model of it; frames may be of lidar, pmd"
+    )
+    assert reason in failure("ten")
 
 
 def test_what_a_library_prints_is_no_frame(caplog):

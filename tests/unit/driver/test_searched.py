@@ -11,8 +11,10 @@ from checked_sensors import facility_frames
 from scipy.spatial.transform import Rotation
 
 from rpod_driver.check import Level, Observations, Options
+from rpod_driver.check.kinds import KindChecks
 from rpod_driver.check.observations import Kept
-from rpod_driver.searched import _judged, mirrored, refocused, scaled, searched
+from rpod_driver.mistakes import MIRRORED_IMAGE, mirrored_image, mirrored_scan, refocused
+from rpod_driver.searched import _compared, searched
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import load_target
@@ -49,6 +51,16 @@ def frames():
     return tuple(taken)
 
 
+def scaled(factor):
+    """Return what multiplies all distances of a frame, as another unit does."""
+
+    def changed(frame):
+        name = "depth_m" if isinstance(frame, PmdFrame) else "points_m"
+        return frame.model_copy(update={name: getattr(frame, name) * np.float32(factor)})
+
+    return changed
+
+
 def seen(kept, kind="pmd", newest_info=None):
     kept = [Kept(number, frame, np.zeros(0), "") for number, frame in enumerate(kept)]
     return Observations(kind, "front", Options(), kept=kept, newest_info=newest_info)
@@ -58,7 +70,7 @@ def seen(kept, kind="pmd", newest_info=None):
     ("mistake", "level", "faults"),
     [
         (lambda frame: frame, Level.OK, ()),
-        (mirrored, Level.FAIL, ("mirrored",)),
+        (mirrored_image, Level.FAIL, ("mirrored",)),
         (refocused(2.0), Level.FAIL, ("lens_unscaled",)),
         (scaled(0.25), Level.FAIL, ("millimetres",)),
     ],
@@ -103,7 +115,7 @@ class Acquirer:
 def judged(where, *, step_s=0.0):
     """Return the result of a search that finds the target in some frames; a look at the clock takes time."""
     looks = count(1)
-    return _judged(frames(), Acquirer(where), (), 180.0, lambda: step_s * next(looks))
+    return _compared(frames(), Acquirer(where), [MIRRORED_IMAGE], 180.0, lambda: step_s * next(looks))
 
 
 def is_mirrored(frame):
@@ -134,7 +146,7 @@ def test_three_frames_more_under_a_mistake_are_no_proof():
 
 
 def test_mirroring_twice_gives_the_frame_back():
-    for frame in (frames()[0], facility_frames("lidar")[1][0]):
+    for frame, mirrored in ((frames()[0], mirrored_image), (facility_frames("lidar")[1][0], mirrored_scan)):
         again = mirrored(mirrored(frame))
         for name in ("depth_m", "points_m", "amplitude", "time_s"):
             if hasattr(frame, name):
@@ -143,3 +155,8 @@ def test_mirroring_twice_gives_the_frame_back():
 
 def test_too_few_frames_are_told():
     assert searched(seen(frames()[:3]), load_target("mockup")).text == ("3 frames were read, 8 are needed")
+
+
+def test_a_kind_without_mistakes_of_its_own_is_not_searched(monkeypatch):
+    monkeypatch.setattr("rpod_driver.searched.checks_of", lambda _: KindChecks())
+    assert searched(seen(frames()), load_target("mockup")).text == "no search for sensors of kind pmd"

@@ -17,6 +17,7 @@ from rpod_schemas.config.base import Config, check
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
 from rpod_schemas.config.service import ServiceConfig
+from rpod_schemas.config.surroundings import KnownSurroundings
 from rpod_schemas.config.tuning import Provenance, Tuning, limits_in, provenance_of
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import methods, sensor_kinds
@@ -27,6 +28,8 @@ MOST_PUBLIC_FIELDS = 81
 """For the whole estimator. A capability that needs more raises it, with a decision record."""
 MOST_DECISIONS = 59
 """For a user: the same, but what a calibration writes into one file counts as one field."""
+MOST_OF_SURROUNDINGS = 10
+"""For a user whose frames show other things: fields of the file of known surroundings."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
 MOST_CONSTANTS_BY_HAND = 119
@@ -38,6 +41,10 @@ NO_CHOICE = r"slice|np\.(zeros|empty)|[A-Z]"
 """Functions and records whose numbers are sizes, places, or fields that say what they are."""
 LIMITS = Path(__file__).parents[3] / "docs" / "limits"
 """Results of the campaign that derives limits."""
+MEASURED = ("sensors.pmd.calibration.", "sensors.pmd.camera.")
+"""Fields whose figures a calibration writes into one file each."""
+ADVICE = re.compile(r"\b(Set|Raise|Lower|[Cc]hange|Leave)\b")
+"""What begins a sentence that tells a user when to touch a field."""
 FEWEST_WORDS = 4
 """Fewest words of the sentence that tells what a field does."""
 
@@ -169,21 +176,34 @@ def test_the_estimator_has_no_more_public_fields_than_decided(
 
 def test_a_user_has_no_more_decisions_than_decided() -> None:
     """Intrinsics and errors of distances are measured: their fields are figures of one file each."""
-    measured = ("sensors.pmd.calibration.", "sensors.pmd.camera.")
     decisions = {
-        next((file for file in measured if name.startswith(file)), name) for name in estimator_fields()
+        next((file for file in MEASURED if name.startswith(file)), name) for name in estimator_fields()
     }
-    assert set(measured) < decisions
+    assert set(MEASURED) < decisions
     assert len(decisions) <= MOST_DECISIONS
+
+
+def test_the_file_of_surroundings_has_no_more_fields_than_decided() -> None:
+    assert len(public_fields(KnownSurroundings)) <= MOST_OF_SURROUNDINGS
 
 
 def test_every_public_field_has_a_sentence() -> None:
     mute = {
         name
-        for name, field in estimator_fields().items()
+        for name, field in (estimator_fields() | public_fields(KnownSurroundings)).items()
         if len((field.description or "").split()) < FEWEST_WORDS and ".camera." not in name
     }
     assert {name for name in mute if not name.endswith(".kind")} == set()
+
+
+def test_every_decision_says_when_to_touch_the_field() -> None:
+    """Figures of a calibration, intrinsics and the choice of a method need no advice of their own."""
+    untold = {
+        name
+        for name, field in estimator_fields().items()
+        if not ADVICE.search(field.description or "") and not name.startswith(MEASURED)
+    }
+    assert {name for name in untold if not name.endswith(".kind")} == set()
 
 
 def test_every_tuning_value_says_where_it_comes_from(record_property: Callable[[str, object], None]) -> None:

@@ -100,11 +100,9 @@ class PmdInput(SensorInput):
 
     @property
     def range_offset_sigma_m(self) -> float:
-        """What the calibration states, else what the joint tracker assumes."""
-        if self.calibration is not None and self.calibration.evidence is not None:
-            return self.calibration.evidence.bias_after_m
-        depth = (self.tracking if isinstance(self.tracking, JointConfig) else JointConfig()).tuning.depth
-        return (depth.raw if self.calibration is None else depth.calibrated).bias_m
+        """Standard deviation that the calibration states, else the one that the joint tracker assumes, m."""
+        tracking = self.tracking if isinstance(self.tracking, JointConfig) else JointConfig()
+        return tracking.tuning.depth.shared_bias_m(self.calibration)
 
 
 HeardSensor = Annotated[SensorInput, HEARD]
@@ -205,7 +203,8 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     zenoh_id: str = Field(default=ESTIMATOR_ID, pattern=ZENOH_ID)
     """Zenoh identity of the estimator, from which the router withholds the truth."""
     target: str
-    """Name of a shipped target, or the file of your own; all methods look for this body."""
+    """Name of a shipped target, or the file of your own. Set it to the body in view, for which all methods
+    look."""
     prefix: Name = "estimate"
     """First part of the topics of the estimates. Set it where two estimators run side by side."""
     max_age_s: Positive = 1.0
@@ -213,7 +212,7 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     long exposures; the estimates are then delayed as much."""
     changed_setup: Literal["refuse", "accept"] = "refuse"
     """Treatment of a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
-    not use its frames until a reset; set ``accept`` if a driver may correct them in service, and nobody else
+    not use its frames until a reset. Set ``accept`` if a driver may correct them in service, and nobody else
     can publish."""
     max_future_s: NonNegative = 0.05
     """Largest time by which a frame's stamp may be in the future, s; frames beyond it are not used. Raise it

@@ -60,7 +60,8 @@ class FilterConfig(Config):
     """Standard deviation that is added in squares to every measured position, m, for errors of the target's
     model and the mount. Raise it if constant offsets appear; lower it if both are known better."""
     attitude_floor_deg: NonNegative = 0.15
-    """Standard deviation that is added in squares to every measured attitude, deg, for the same errors."""
+    """Standard deviation that is added in squares to every measured attitude, deg, for the same errors. Raise
+    it if attitudes are constantly off by more than their covariance says."""
     correlation_inflation: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
     """Factor on a measurement's covariance, because the errors of successive frames are correlated. By
     default it is 2 up to 15 frames a second, and rises with their rate: to 6 at 45. Set it where a campaign
@@ -75,7 +76,8 @@ class FilterConfig(Config):
     estimates it. Set it where mounts are not calibrated well: two sensors that disagree then tell by how
     much, and the covariance of the estimate contains what none of them can tell."""
     mount_sigma_m: NonNegative = 0.0
-    """The same of the place of a sensor's mount along each axis, m."""
+    """The same of the place of a sensor's mount along each axis, m. Set it together with
+    ``mount_sigma_deg``."""
     initial_velocity_sigma_m_s: Positive = 1.0
     """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. Set it to a
     third of the largest speed of the target relative to the chaser that the mission allows: at more, the

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import NonNegative, Positive, Share
 from rpod_schemas.config.pmd.check import PmdCheckConfig
+from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import (
     BUDGET,
@@ -69,6 +70,12 @@ class JointDepthConfig(Tuning):
     ] = RangeErrorConfig(bias_m=0.007, uneven_m=0.001)
     """Errors of the ranges if the depth is calibrated, mostly several millimetres. A calibration that states
     its remaining error (``evidence.bias_after_m``) replaces it."""
+
+    def shared_bias_m(self, calibration: DepthCalibration | None) -> float:
+        """Return the standard deviation of the error that all ranges of a frame share, m."""
+        if calibration is None:
+            return self.raw.bias_m
+        return self.calibrated.bias_m if calibration.evidence is None else calibration.evidence.bias_after_m
 
 
 class JointEdgeConfig(Tuning):

@@ -52,7 +52,7 @@ class OtherSizes:
     assumed: Assumptions
     """Statistics of returns."""
     reach: Reach
-    """What the outline can tell."""
+    """Limits of predictions, and the resolution of the outline."""
     scale_tolerance: float
     """Standard deviation of the size, as a share, that the target's file declares."""
 

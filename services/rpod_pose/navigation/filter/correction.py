@@ -36,7 +36,7 @@ class Update(NamedTuple):
     """Normalised innovation squared; NaN if the measurement is not finite."""
     accepted: bool
     innovation: "Innovation"
-    """Innovation that the gate has judged."""
+    """Innovation that the gate has accepted or rejected."""
 
 
 class Innovation(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the integrity monitor knows from one frame to the next."""
+"""Memory of the integrity monitor from one frame to the next."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

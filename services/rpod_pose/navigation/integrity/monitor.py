@@ -27,10 +27,10 @@ from rpod_pose.navigation.integrity.levels import (
     solution,
 )
 from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import Statistic, recent, residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
-from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import is_recent
 from rpod_pose.navigation.state import NavigatorState, Output

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.frame_check import LIT_SPREADS
+from rpod_pose.pmd.joint.check.frame_check import LIT_SPREADS
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window
 from rpod_schemas.types import Float32Array

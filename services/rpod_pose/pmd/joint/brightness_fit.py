@@ -60,8 +60,8 @@ class Mixture(NamedTuple):
     """Number of the part that a pixel shows alone, -1 for others or the sky, shape (rows, columns)."""
 
 
-class Filed(NamedTuple):
-    """The rendering with the materials of the file."""
+class ByFile(NamedTuple):
+    """The rendering with the materials of the target's file."""
 
     shade: Float32Array
     """Smoothed brightness, clipped like the image, on the pixels of the window."""
@@ -69,8 +69,8 @@ class Filed(NamedTuple):
     """Median brightness before smoothing; 0 if nothing is in view."""
 
 
-def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
-    """Return the rendering with the materials of the file.
+def rendered_by_file(mixture: Mixture, *, clip: float, blur_px: float) -> ByFile:
+    """Return the rendering with the materials of the target's file.
 
     Args:
         mixture: the parts that the pixels show at a pose.
@@ -78,10 +78,10 @@ def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
         blur_px: standard deviation of the blur.
     """
     shade, typical = clipped(mixture, clip)
-    return Filed(_blurred(shade, blur_px), typical)
+    return ByFile(_blurred(shade, blur_px), typical)
 
 
-def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_px: float) -> Float32Array:
+def fitted(patch: Patch, mixture: Mixture, by_file: ByFile, *, clip: float, blur_px: float) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
     A part of few pixels, or of none that it has for itself, keeps the brightness by the file.
@@ -107,7 +107,7 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     sky = sky_of(patch, free, mixture.window)
     shown = np.float32(sky) * free
     if mixture.pixel.size:
-        by_file = filed(mixture, clip=clip, blur_px=blur_px)
+        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
         shown = shown + _fitted(patch, mixture, by_file, clip, blur_px, behind=shown)
     return 0.5 * squares_of(patch, Behind(shown, sky), mixture.window) / (4.0 * np.pi * blur_px**2)
 
@@ -115,7 +115,7 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
 def _fitted(
     patch: Patch,
     mixture: Mixture,
-    by_file: Filed,
+    by_file: ByFile,
     clip: float,
     blur_px: float,
     *,

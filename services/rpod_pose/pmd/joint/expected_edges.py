@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.brightness_fit import (
-    filed,
     fitted,
     misfit,
     mixture_of,
+    rendered_by_file,
 )
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
@@ -141,7 +141,7 @@ class PatchRenderer:
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
-        by_file = filed(mixture, clip=clip, blur_px=blur_px)
+        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
         shade, typical = by_file
         as_seen = typical > 0.0 and patch.typical > 0.0
         fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade

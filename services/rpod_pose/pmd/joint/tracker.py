@@ -33,7 +33,8 @@ from rpod_pose.pmd.joint.alternatives import (
     poses_of,
 )
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
-from rpod_pose.pmd.joint.belief import by_distances, edges_in_place, frame_belief, source_of
+from rpod_pose.pmd.joint.check.belief import by_distances, edges_in_place, frame_belief, source_of
+from rpod_pose.pmd.joint.check.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
@@ -48,7 +49,6 @@ from rpod_pose.pmd.joint.fit import (
     near_the_pose,
 )
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
-from rpod_pose.pmd.joint.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays

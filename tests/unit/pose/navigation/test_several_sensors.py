@@ -7,8 +7,8 @@ import pytest
 from navigator_rig import MOUNT, SECOND_NS, START_S, Method, View, blind, good, turned
 
 from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.navigation.sensors.mounts import mount_offsets
 from rpod_pose.navigation.sensors.streams import heard, supported
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch

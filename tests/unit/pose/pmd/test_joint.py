@@ -46,9 +46,9 @@ CAMERA = PmdConfig().model_copy(
     update={"pixel": PmdConfig().pixel.model_copy(update={"wiggling_share": 0.0})}
 )
 CALIBRATED_WIGGLING = 0.005
+"""Share of the wiggling that a calibration leaves."""
 MOST_CAUTIOUS = 1.25
 """Greatest standard deviation that is assumed over that of the errors."""
-"""What a calibration leaves of the wiggling, as a share."""
 SUN_W_M2 = np.array((500.0, -600.0, -900.0))
 TRACKER = JointTracker(JointConfig(), MOCKUP)
 TRUTH = make_pose(

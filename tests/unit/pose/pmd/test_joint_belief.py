@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from rpod_pose.pmd.joint.belief import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.check.belief import edges_in_place, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.fit import EdgeEvidence
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rpod_pose.pmd.depth_view import stray_light
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.scene import PmdScene, scene_of
-from rpod_pose.search.simpler_surface import Surface
+from rpod_pose.pmd.simpler_surface import Surface
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd.search import PmdModelConfig, PmdSceneConfig
 from rpod_schemas.poses import make_pose

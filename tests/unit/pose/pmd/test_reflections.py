@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from rpod_pose.pmd.frame_check import longer_m
-from rpod_pose.pmd.reflections import reflected_m
+from rpod_pose.pmd.joint.check.frame_check import longer_m
+from rpod_pose.pmd.joint.check.reflections import reflected_m
 from rpod_pose.pmd.rendering import RenderingArrays
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_target import load_target

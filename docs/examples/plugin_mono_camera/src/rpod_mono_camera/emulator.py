@@ -1,4 +1,4 @@
-"""What a monocular camera makes of a target in the sun: rendering, lens blur, shot and read noise, counts."""
+"""Images of a target in the sun by a monocular camera: rendering, lens blur, shot and read noise, counts."""
 
 import numpy as np
 from numpy.typing import NDArray

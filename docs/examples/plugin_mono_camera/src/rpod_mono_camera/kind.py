@@ -1,6 +1,7 @@
-"""What rpod is told of the camera: everything heavy is named, and imported by who needs it."""
+"""The camera as rpod knows it: everything heavy is named, and imported by the process that needs it."""
 
 from rpod_mono_camera.config import EdgeTrackingConfig, MonoConfig, MonoInput, NearPredictionConfig
+from rpod_mono_camera.frame import MonoFrame
 from rpod_schemas.sensors import Method, Part, SensorKind
 from rpod_schemas.topics import CAMERA_INFO, Topic
 
@@ -10,6 +11,7 @@ MONO = SensorKind(
     name="mono",
     title="monocular camera",
     parts={"image": Part(IMAGE), "camera_info": Part(CAMERA_INFO, lasting=True)},
+    frame=MonoFrame,
     emulated=MonoConfig,
     heard=MonoInput,
     reader="rpod_mono_camera.bus:MonoReader",

@@ -3,7 +3,7 @@
 import math
 
 from rpod_pose.belief import Belief, contradicted, doubtful
-from rpod_pose.pmd.frame_check import Contradictions
+from rpod_pose.pmd.joint.check.frame_check import Contradictions
 from rpod_pose.pmd.joint.fit import EdgeEvidence
 from rpod_pose.ports import PartSolution
 from rpod_schemas.arrays import FloatArray

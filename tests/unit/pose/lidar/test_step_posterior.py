@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from rpod_pose.registration.step_posterior import Steps, propagated
+from rpod_pose.lidar.posterior.step_posterior import Steps, propagated
 
 HOLD = np.full(6, 1e4)
 
