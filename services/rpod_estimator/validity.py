@@ -66,7 +66,7 @@ class Validity:
         self._stale_after_s = stale_after_s
         self._sensors: dict[str, _Sensor] = {}
         self._mode = Mode.ACQUIRING
-        self._of_no_use = ""
+        self._unusable = ""
         self._stamp_ns = self._measured_ns = 0
         self.newest_ns = 0
         """Newest stamp of a result or a frame so far."""
@@ -78,7 +78,7 @@ class Validity:
             self._mode = output.status.mode
             self.newest_ns = max(self.newest_ns, _newest_ns(output, arrived))
             if output.odometry is not None:
-                self._stamp_ns, self._of_no_use = output.odometry.stamp_ns, output.of_no_use
+                self._stamp_ns, self._unusable = output.odometry.stamp_ns, output.unusable
             if arrived is not None:
                 self._take_frame(output, arrived, now_s)
 
@@ -120,7 +120,7 @@ class Validity:
             if sensor.repeats >= FROZEN_REPEATS and now_s > sensor.deadline_s(self._stale_after_s):
                 return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
         if now_s <= self._deadline_s():
-            return self._of_no_use
+            return self._unusable
         accepted_s = [each.new_s for each in self._sensors.values() if each.new_s is not None]
         if not accepted_s:
             return "no measurement was accepted yet"
