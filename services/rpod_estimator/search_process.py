@@ -35,10 +35,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_pose.cancellation import CancelledError, cancelled_if
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.first_pose.searches import Found, Search, find
 from rpod_pose.ports import Methods
-from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.sensor import SensorInput
 from rpod_target import Target, load_target
 
@@ -251,7 +251,7 @@ def _search_on(
             search, setup = pickle.loads(said)  # noqa: S301 - of our own process
             if methods is None or pickle.dumps(setup) != known:
                 methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
-            with unless(connection.poll):  # whatever is sent during a search cancels it
+            with cancelled_if(connection.poll):  # whatever is sent during a search cancels it
                 if search.beside_track:
                     found = less_urgent.submit(copy_context().run, _found, search, methods).result()
                 else:
@@ -268,7 +268,7 @@ def native_threads() -> int | None:
 def _found(search: Search, methods: Methods) -> Found:
     try:
         return find(search, methods)
-    except UnwantedError as error:
+    except CancelledError as error:
         return Found.nothing(str(error))
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, PixelMarks, contradicted
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.posterior.sampled_posterior import (
     Proposal,
@@ -43,7 +44,6 @@ from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_pose.search.even_samples import steps_of
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
@@ -140,7 +140,7 @@ class ScanModel:
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
         """Return how well the pose R, t of the target in the sensor explains a scan."""
-        step()
+        stop_if_cancelled()
         return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays(seen), self.assumed))
 
     @property

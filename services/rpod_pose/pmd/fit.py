@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.registration.lie_group import PoseArrays, turned
 from rpod_pose.search.simpler_surface import Surface
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array
@@ -176,7 +176,7 @@ class PmdFitter:
 
     def fit(self, R: FloatArray, t: FloatArray, *, bias_m: float = 0.0) -> PmdFit:
         """Return the loss of a pose R, t of the target, if all ranges are ``bias_m`` too long."""
-        step()
+        stop_if_cancelled()
         compared, seen = self._compared, self._compared.seen
         if bias_m:
             range_m = np.where(seen.range_m > 0.0, seen.range_m - np.float32(bias_m), np.float32(0.0))

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.ports import ComparingTracker, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.separation import SIGMAS, Margin, RangeImage, Sight, with_target_at
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Source
 from rpod_target import Target
@@ -165,7 +165,7 @@ class TrackerAmongThings(Generic[FrameT]):
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration that gave the pose, if the same frame did.
         """
-        step()
+        stop_if_cancelled()
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
         found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
