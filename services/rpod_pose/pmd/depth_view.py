@@ -208,7 +208,7 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     if pixels < config.min_pixels:
         return f"{pixels} pixels with depth, {config.min_pixels} needed"
     if frame.camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(frame.camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     try:
         view = DepthView.of(frame.camera, config.stride_px)
     except DistortionError as error:

@@ -225,7 +225,7 @@ def _implausible_camera(camera: Camera, config: PmdSceneConfig) -> str:
     A wrong principal point shears the depth image so little that the image itself does not show it.
     """
     if camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
     if not off <= config.most_off_centre:
         return (

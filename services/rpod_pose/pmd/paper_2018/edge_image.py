@@ -76,7 +76,7 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     if frame.amplitude is None:
         return "no amplitude image was sent"
     if frame.camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(frame.camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     light = _scaled(frame.amplitude, config)
     if isinstance(light, str):
         return light
