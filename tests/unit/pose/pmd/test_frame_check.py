@@ -97,7 +97,7 @@ def test_a_bright_place_where_no_surface_should_be_contradicts():
     images = seen()
     images[2][2:8, 2:8] = LIT
     found = compared(images)
-    assert "a detail contradicts" in found.reason(LIMITS)
+    assert "a detail is inconsistent" in found.reason(LIMITS)
     assert np.argwhere(found.marked).tolist() == [[i, j] for i in range(2, 8) for j in range(2, 8)]
     assert PixelMarks(found.marked, STRIDE).centre_px == (20, 20)
 
@@ -110,7 +110,7 @@ def test_a_few_dark_pixels_say_that_a_surface_is_missing_where_as_many_wrong_ran
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == ""
     range_m[few], shade[few] = np.nan, SKY
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == (
-        "a detail is missing: 5 of 25 pixels there are dark, 3 at most"
+        "a detail is missing: 5 of 25 pixels of a patch are dark, limit 3"
     )
 
 
