@@ -1,4 +1,4 @@
-"""Rotations by which a target may be mistaken for itself."""
+"""Rotations after which a target may be confused with itself."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,10 +38,10 @@ PlacedT = TypeVar("PlacedT", bound=Placed)
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """Rotations by which a target may be mistaken for itself."""
+    """Rotations after which a target may be confused with itself."""
 
     all: FloatArray
-    """All of them, without the identity, the declared ones first, shape (T, 3, 3)."""
+    """All these rotations without the identity, the declared ones first, shape (T, 3, 3)."""
     declared: int
     """Number of the declared ones."""
     faces: FloatArray
@@ -59,7 +59,8 @@ class Turns:
     def of(cls, target: Target) -> Self:
         """Return a target's near-symmetries (or half turns), a cube's turns, and half of each exact symmetry.
 
-        A prism that is turned by half of its symmetry's angle hardly differs from itself.
+        The last ones are needed because a prism that is turned by half of its symmetry's angle looks almost
+        the same.
         """
         exact = target.equivalence
         declared = _distinct([turn.rotation for turn in target.turns()], exact)
