@@ -104,7 +104,7 @@ def _edges_of(
     """Return edges with their lines by the Hough transform: steps 3 to 5 of the paper.
 
     Raises:
-        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
+        rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted there.
     """
     found = cv2.HoughLinesP(
         pixels,
@@ -165,7 +165,7 @@ def straightened(pixels: FloatArray, camera: Camera) -> FloatArray:
     """Return undistorted pixels: where a lens without distortion images the same rays, shape (N, 2).
 
     Raises:
-        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
+        rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted there.
     """
     scale, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
     straight: FloatArray = undistort(((pixels - centre) / scale).T, camera).T * scale + centre
