@@ -38,7 +38,7 @@ class BodyInput(StampedInput[FrameTrack]):
         super().__init__(node, topics, in_lockstep=config.in_lockstep)
 
     def use(self, track: FrameTrack, received: Received) -> bool:
-        """Use the pose of a body; return whether it is newer than all before."""
+        """Add the pose of a body and return True; return False if it is not newer than all before."""
         reading = checked(read_odometry(received.decode()))
         return track.take(reading.stamp_ns, reading.pose)
 
@@ -48,7 +48,7 @@ class BodyInput(StampedInput[FrameTrack]):
 
 
 class BodyReport:
-    """Tells the operator which known bodies the sensors do not see at their published places.
+    """Reports to the operator which known bodies the sensors do not see at their published places.
 
     Args:
         node: the estimator's node.
@@ -75,7 +75,7 @@ class BodyReport:
 
 
 def checked(reading: Odometry) -> Odometry:
-    """Return a reading in ``chaser``; others raise ``MessageRejectedError``."""
+    """Return a reading unchanged if its frame is ``chaser``. Raises ``MessageRejectedError``."""
     if reading.frame_id != CHASER:
         raise MessageRejectedError(
             Reason.MALFORMED, f"frame_id is {reading.frame_id!r}: publish the body's pose in {CHASER!r}"
