@@ -155,7 +155,7 @@ def _fill_box(box: Float32Array, low: FloatArray, high: FloatArray, chosen: NDAr
     Args:
         box: output, m.
         low: least coordinates of the triangles, shape (T, 3), m.
-        high: greatest coordinates, shape (T, 3), m.
+        high: largest coordinates, shape (T, 3), m.
         chosen: indices of triangles, shape (N,).
     """
     for k in range(3):

@@ -142,7 +142,7 @@ class MeshParameters(_PartParameters):
     file_materials: dict[str, str] = Field(default_factory=dict)
     """Material of this file by the name of the material in the mesh file; others have ``material``."""
     largest_error_m: Positive | None = None
-    """Largest distance between the file's surface and the triangles that stand for it, where the file has
+    """Largest distance between the file's surface and the triangles that replace it, where the file has
     more than 20,000; by default a thousandth of the part's longest side."""
     longest_side_m: Positive | None = None
     """Length to which the longest side of the file's bounding box is scaled."""
@@ -194,7 +194,7 @@ class JointParameters(Config):
     limits_deg: tuple[float, float]
     """Least and greatest angle."""
     most_rate_deg_s: Positive = 1.0
-    """Greatest rate, deg/s."""
+    """Largest rate, deg/s."""
 
     @field_validator("axis")
     @classmethod

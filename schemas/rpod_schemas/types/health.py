@@ -41,10 +41,10 @@ class SensorSync(Model):
             pydantic.ValidationError: a value is not one of those of the ICD.
         """
         prefix = f"{SYNC}{sensor}/"
-        told = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
+        stated = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
         return (
-            cls.model_validate({name: told[name] for name in cls.model_fields if name in told})
-            if told
+            cls.model_validate({name: stated[name] for name in cls.model_fields if name in stated})
+            if stated
             else None
         )
 

@@ -18,7 +18,7 @@ _LOCKSTEP_S = 5.0
 """Longest wait in lockstep, where readings are sent before the frame and a machine may be loaded."""
 _WAITING = 8192
 _MOST_AHEAD_S = 1.0
-"""Greatest time by which a reading's stamp may be ahead of the wall clock: no clock that is kept is worse."""
+"""Largest time by which a reading's stamp may be ahead of the wall clock: no clock that is kept is worse."""
 
 
 class Track(Protocol):

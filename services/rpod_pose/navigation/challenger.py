@@ -20,7 +20,7 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import pose_error
 
 EXPLAINED_DEG, EXPLAINED_M = 20.0, 0.5
-"""Greatest rotation and displacement from the prediction to a pose that an acceleration of the target can
+"""Largest rotation and displacement from the prediction to a pose that an acceleration of the target can
 explain. Physics: 60 deg/s2 and 3 m/s2 turn it by 7 deg and move it by 0.4 m in half a second, and attitudes
 that are mistaken for each other are farther apart."""
 CONTESTED_S = 0.2

@@ -69,7 +69,7 @@ _ROUNDS = 40
 """Iterations of the inversion of a calibration. Numerics: each halves the error, whose slope is at most
 0.5."""
 _SAME = 1e-3
-"""Greatest relative difference of two equal frequencies. Hand: drivers round frequencies; two modes differ by
+"""Largest relative difference of two equal frequencies. Hand: drivers round frequencies; two modes differ by
 percents."""
 
 

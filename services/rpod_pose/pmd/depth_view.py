@@ -344,7 +344,7 @@ def noise_of_medians(
         stride: as for ``downsampled``.
         offset: as for ``downsampled``.
         shape: rows and columns that ``downsampled`` returned.
-        steepest: greatest change of a face's depth from one pixel to the next, over the depth.
+        steepest: largest change of a face's depth from one pixel to the next, over the depth.
     """
     sigma = np.zeros(shape, np.float32)
     height, width = depth.shape

@@ -110,7 +110,7 @@ class Around(NamedTuple):
     low: float
     """Least range, m; inf if no ray hits."""
     high: float
-    """Greatest range, m; 0 if no ray hits."""
+    """Largest range, m; 0 if no ray hits."""
     hits: int
     """Number of rays that hit."""
 

@@ -76,7 +76,7 @@ class Turns:
         Args:
             attitudes: R_sensor_target, shape (P, 3, 3).
             others: other R_sensor_target, shape (O, 3, 3).
-            angle_deg: greatest angle between two close attitudes.
+            angle_deg: largest angle between two close attitudes.
 
         Returns:
             shape (P, O).
@@ -89,7 +89,7 @@ class Turns:
 
         Args:
             ranked: poses of the target, best first.
-            angle_deg: greatest angle between two close attitudes.
+            angle_deg: largest angle between two close attitudes.
         """
         attitudes = matrices(ranked)
         close = self.close(attitudes, attitudes, angle_deg)

@@ -35,7 +35,7 @@ class RangeErrorConfig(Tuning):
     """Standard deviations of the range errors that do not average out over a frame."""
 
     bias_m: Positive
-    """Standard deviation of the error that all points share, m; each frame estimates this error anew."""
+    """Standard deviation of the error that all points share, m; it is estimated in each frame."""
     uneven_m: NonNegative
     """Standard deviation of the remaining error, which varies over the target, m; it counts as one more error
     of the whole depth."""

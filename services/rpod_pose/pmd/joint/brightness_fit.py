@@ -73,7 +73,7 @@ def filed(mixture: Mixture, *, clip: float, blur_px: float) -> Filed:
 
     Args:
         mixture: the parts that the pixels show at a pose.
-        clip: greatest brightness, over the typical one.
+        clip: largest brightness, over the typical one.
         blur_px: standard deviation of the blur.
     """
     shade, typical = clipped(mixture, clip)
@@ -89,7 +89,7 @@ def fitted(patch: Patch, mixture: Mixture, by_file: Filed, *, clip: float, blur_
         patch: the image, smoothed.
         mixture: the parts that the pixels show at a pose.
         by_file: the rendering with the materials of the file.
-        clip: greatest brightness of image and rendering, over the typical one.
+        clip: largest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
     return _fitted(patch, mixture, by_file, clip, blur_px)
@@ -269,7 +269,7 @@ def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
 
     Args:
         mixture: the parts that the pixels show.
-        clip: greatest brightness over the median.
+        clip: largest brightness over the median.
     """
     image = np.zeros(mixture.alone.size, np.float32)
     for n in range(mixture.pixel.size):
@@ -336,7 +336,7 @@ def mixed(gain: Float32Array, mixture: Mixture, most: np.float32) -> Float32Arra
     Args:
         gain: factor on the brightness of each part, shape (K,).
         mixture: the parts that the pixels show.
-        most: greatest brightness; inf for none.
+        most: largest brightness; inf for none.
     """
     image = np.zeros(mixture.alone.size, np.float32)
     for n in range(mixture.pixel.size):

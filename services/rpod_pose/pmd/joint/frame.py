@@ -39,7 +39,7 @@ FINE_PX, FINE_RAYS = 70_000, 2
 these rays along rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; in a larger
 patch, a pixel is small on the target."""
 _STEEPEST_RAD = np.radians(89.0)
-"""Greatest angle of a ray from the boresight. Numerics: its tangent is finite."""
+"""Largest angle of a ray from the boresight. Numerics: its tangent is finite."""
 MIN_PATCH = 3
 """Least number of rows and columns in which edges are searched. Numerics: the smoothing and the search need
 neighbours."""

@@ -19,7 +19,7 @@ from rpod_schemas.config.pmd.amplitude import EdgeImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 WHITE = 255.0
-"""Greatest grey value of an 8-bit image. Physics: 2^8 - 1."""
+"""Largest grey value of an 8-bit image. Physics: 2^8 - 1."""
 BRIGHTNESS_STRIDE = 2
 """Stride, across and down, of the pixels from which the image's brightness is estimated. Numerics: a budget
 of computation."""

@@ -34,7 +34,7 @@ STRIDE_PX = 4
 """Stride of the pixels on which the model is rendered to find what is hidden. Numerics: a budget of
 computation."""
 FARTHEST_RADII = 200.0
-"""Greatest distance of a target with visible lines, in its radii. Numerics: lines are then a few pixels long
+"""Largest distance of a target with visible lines, in its radii. Numerics: lines are then a few pixels long
 or shorter."""
 LEAST_ANGLE_RAD, LEAST_REACH_PX, LEAST_TOLERANCE = np.deg2rad(6.0), 2.5, 0.06
 """Least limits of the matches. Hand: short lines and small circles are not more accurate."""
@@ -46,9 +46,9 @@ class Search:
 
     lines: Reach
     circle_m: float
-    """Greatest distance of a circle's centre from its prediction, on its plane."""
+    """Largest distance of a circle's centre from its prediction, on its plane."""
     tolerance: float
-    """Greatest difference of a circle's radius from its prediction, as a share of it."""
+    """Largest difference of a circle's radius from its prediction, as a share of it."""
     first: bool
     """Whether circles are found by the Hough transform; later rounds measure them at the known pose."""
 
