@@ -1,6 +1,6 @@
 """Worlds: variants in which the target and the sensors differ from their documented physics.
 
-An estimator is never told in which world it is: a world changes how the emulator treats the light, but
+An estimator does not know in which world it is: a world changes how the emulator treats the light, but
 neither the sensor's info messages (``LidarInfo``, ``PmdInfo``) nor the target file. If an estimator works
 only in the documented world, it is fitted to the emulator, not to the sensor.
 

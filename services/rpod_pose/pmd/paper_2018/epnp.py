@@ -173,7 +173,7 @@ class EpnpTracker:
                 break
             points = points.without(int(distances_px.argmax()))
         if fit.rms_px > config.max_error_px:
-            return f"reprojection error {fit.rms_px:.1f} px, {config.max_error_px:.1f} px at most"
+            return f"reprojection error {fit.rms_px:.1f} px, limit {config.max_error_px:.1f} px"
         return fit
 
     def _registered(self, fit: Fit, T_predicted: RigidTransform, camera: Camera) -> Registration:
@@ -201,9 +201,19 @@ class EpnpTracker:
             return "degenerate: the points leave a motion undetermined"
         sigma_deg = float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
         demands = (
-            (sigma_deg <= config.max_sigma_deg, f"attitude known to {sigma_deg:.1f} deg only"),
-            (turn_deg <= config.max_turn_deg, f"turned {turn_deg:.1f} deg from the prediction"),
-            (shift <= config.max_shift_share, f"shifted by {shift:.0%} of the distance from the prediction"),
+            (
+                sigma_deg <= config.max_sigma_deg,
+                f"attitude known to {sigma_deg:.1f} deg, limit {config.max_sigma_deg:.1f} deg",
+            ),
+            (
+                turn_deg <= config.max_turn_deg,
+                f"turned {turn_deg:.1f} deg from the prediction, limit {config.max_turn_deg:.1f} deg",
+            ),
+            (
+                shift <= config.max_shift_share,
+                f"shifted from the prediction by {shift:.0%} of the distance, "
+                f"limit {config.max_shift_share:.0%}",
+            ),
         )
         return next((reason for met, reason in demands if not met), "")
 

@@ -110,7 +110,7 @@ def hough_circle(
 ) -> FloatArray | None:
     """Return the centre of the Hough circle nearest to the predicted one, in radii from it, shape (2,).
 
-    The limits are the greatest distance from it, in radii, and the greatest difference of the radius, as a
+    The limits are the largest distance from it, in radii, and the largest difference of the radius, as a
     share.
     """
     reach, tolerance = limits

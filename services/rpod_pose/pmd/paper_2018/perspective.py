@@ -37,7 +37,7 @@ PRIOR_RESIDUALS = 4.0
 """Number of residuals for which the assumed noise counts. Hand: few points hardly determine their own
 noise."""
 WORST_CONDITION = 1e10
-"""Condition of the information from which on it is not inverted. Numerics: six digits of a double are
+"""Largest condition number of the information that is inverted. Numerics: six digits of a double are
 left."""
 
 
