@@ -222,7 +222,7 @@ class LogCompleteness(Config):
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
     unconfirmed: tuple[str, ...] = ()
-    """Publishers of other software that ended without telling their last number, a sentence each; this does
+    """Publishers of other software that ended without stating their last number, a sentence each; this does
     not make the log incomplete."""
 
 

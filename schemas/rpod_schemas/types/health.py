@@ -10,7 +10,7 @@ from rpod_schemas.bounds import Stamp, Text
 from rpod_schemas.types.base import Model
 
 SYNC = "sync/"
-"""First part of the values of diagnostics that tell how sensors keep time."""
+"""First part of the names of values in diagnostics that state how sensors keep time."""
 
 
 class SensorSync(Model):

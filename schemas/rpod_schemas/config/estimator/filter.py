@@ -72,8 +72,9 @@ class FilterConfig(Config):
     ``considered`` where the target's file is right within its ``tolerance_m``."""
     mount_sigma_deg: NonNegative = 0.0
     """Standard deviation of the attitude of a sensor's mount about each axis, deg, for which the filter
-    estimates it. Set it where mounts are not calibrated well: the disagreement of two sensors then determines
-    the error of their mounts, and the covariance of the estimate contains what remains unknown."""
+    estimates it. Set it where mounts are not calibrated well: the difference between the mounts of two
+    sensors is then estimated from their poses, and the covariance of the estimate contains what remains
+    unknown."""
     mount_sigma_m: NonNegative = 0.0
     """The same of the place of a sensor's mount along each axis, m."""
     initial_velocity_sigma_m_s: Positive = 1.0
