@@ -90,7 +90,7 @@ def typical_of(image: Float32Array, measured: float, depth_m: Float32Array) -> f
 
 
 def brightest_of(sky: Float32Array) -> float:
-    """Return the greatest amplitude that the noise of pixels of the sky explains, shape (N,); 0 if none."""
+    """Return the largest amplitude that the noise of pixels of the sky, shape (N,), explains; 0 if none."""
     if not sky.size:
         return 0.0
     median = np.median(sky)

@@ -44,7 +44,8 @@ def frame_belief(
     if reason:
         return contradicted(reason, **evidence)
     if in_place < limits.weak_edge_share:
-        return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
+        needed = f"{limits.weak_edge_share:.0%} needed for a sure pose"
+        return doubtful(f"only {in_place:.0%} of the edges are in their place, {needed}", **evidence)
     return Belief(evidence=evidence)
 
 

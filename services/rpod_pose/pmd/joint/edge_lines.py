@@ -73,8 +73,8 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
 def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> FloatArray:
     """Return the covariance of (dtau, dtheta, bias) from errors that are the same along a line, shape (7, 7).
 
-    Six of L lines only determine the pose and give no information about their errors. With the share 6 / L,
-    the covariance for independent samples stands for them.
+    Six of L lines only determine the pose and give no information about their errors. Therefore the result is
+    a weighted mean, in which the covariance for independent samples has the weight 6 / L.
 
     Args:
         lines: normal equations of the lines.
@@ -96,6 +96,6 @@ def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> F
     along = np.einsum("lji,lj->li", vectors, scaled[large]) / (1.0 - np.minimum(shares, MOST_LEVERAGE))
     steps[large] = np.einsum("lij,lj->li", vectors, along)
     moved = steps @ root.T
-    told = (number - OF_POSE) / number
-    found: FloatArray = told * (number - 1) / number * moved.T @ moved + (1.0 - told) * samples
+    weight = (number - OF_POSE) / number
+    found: FloatArray = weight * (number - 1) / number * moved.T @ moved + (1.0 - weight) * samples
     return found
