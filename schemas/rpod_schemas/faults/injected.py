@@ -60,7 +60,8 @@ def _read(diagnostic: Diagnostic) -> InjectedFault:
     try:
         size = float(values["size"]) if "size" in values else None
     except ValueError as error:
-        raise MessageRejectedError(Reason.MALFORMED, f"size {values['size']!r} of a fault") from error
+        text = f"size of a fault is {values['size'][:40]!r}, needs a number"
+        raise MessageRejectedError(Reason.MALFORMED, text) from error
     return InjectedFault(
         fault=diagnostic.name,
         where=values.get("where", ""),

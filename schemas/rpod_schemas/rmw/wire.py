@@ -51,7 +51,10 @@ def unpack_attachment(data: bytes | None) -> Attachment:
         )
     sequence, stamp_ns, size, gid = _ATTACHMENT.unpack(data)
     if size != GID_BYTES or sequence < 0:
-        raise MessageRejectedError(Reason.MALFORMED, f"attachment with gid size {size}, sequence {sequence}")
+        raise MessageRejectedError(
+            Reason.MALFORMED,
+            f"attachment with gid size {size}, sequence number {sequence}; needs {GID_BYTES}, and 0 or more",
+        )
     return Attachment(sequence, stamp_ns, gid)
 
 
