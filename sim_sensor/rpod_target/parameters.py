@@ -200,7 +200,7 @@ class JointParameters(Config):
     @classmethod
     def _has_a_direction(cls, axis: FloatArray) -> FloatArray:
         if not np.linalg.norm(axis) > 0.0:
-            raise ValueError("must not be zero")
+            raise ValueError(f"is {axis.tolist()}, must not be zero: give a direction, of any length")
         return axis
 
     @field_validator("limits_deg")
@@ -294,13 +294,16 @@ class TargetParameters(Config):
         if inertia is None:
             return None
         if not np.allclose(inertia, inertia.T):
-            raise ValueError("is not symmetric")
+            raise ValueError("is not symmetric; correct the elements off the diagonal")
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] <= 0.0:
-            raise ValueError("is not positive definite")
+            raise ValueError(
+                f"is not positive definite: least principal moment {moments[0]:.4g} kg m2; correct the elements"
+            )
         if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
             raise ValueError(
-                "breaks the triangle inequality: one principal moment exceeds the sum of the others"
+                f"breaks the triangle inequality: one principal moment, {moments[2]:.4g} kg m2, exceeds the "
+                f"sum of the others, {moments[0] + moments[1]:.4g}; correct the elements"
             )
         return inertia
 
@@ -310,7 +313,7 @@ class TargetParameters(Config):
         names = [part.name for part in parts]
         repeated = [name for index, name in enumerate(names) if name in names[:index]]
         if repeated:
-            raise ValueError(f"two parts are named {repeated[0]!r}")
+            raise ValueError(f"two parts are named {repeated[0]!r}; give each its own name")
         return parts
 
     @model_serializer(mode="wrap")
@@ -334,11 +337,12 @@ class TargetParameters(Config):
     def _joints_have_parts(self) -> Self:
         used = {part.joint for part in self.parts} - {None}
         if unknown := sorted(str(name) for name in used - set(self.joints)):
-            raise ValueError(f"parts name joints that are not among joints: {', '.join(unknown)}")
+            known = ", ".join(self.joints) or "none"
+            raise ValueError(f"parts name unknown joints: {', '.join(unknown)}; joints has {known}")
         if unused := sorted(set(self.joints) - used):
-            raise ValueError(f"no part names these joints: {', '.join(unused)}")
+            raise ValueError(f"no part names these joints: {', '.join(unused)}; remove them, or name them")
         if all(part.joint for part in self.parts):
-            raise ValueError("every part names a joint; one that is fixed is needed")
+            raise ValueError("every part names a joint; at least one part without a joint is needed")
         return self
 
 
