@@ -161,7 +161,8 @@ class Estimator:
         )
         for sensor in self._sensors.values():
             if kind_methods(sensor).masked is None:
-                log.warning("%s: sensors of kind %s cannot ignore them", sensor.name, sensor.kind)
+                text = "%s: unreliable parts are not ignored: sensors of kind %s cannot remove their points"
+                log.warning(text, sensor.name, sensor.kind)
 
     @property
     def imu(self) -> ImuTrack | None:

@@ -298,12 +298,12 @@ class TargetParameters(Config):
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] <= 0.0:
             raise ValueError(
-                f"is not positive definite: least principal moment {moments[0]:.4g} kg m2; correct the elements"
+                f"is not positive definite: least principal moment {moments[0]:.4g} kg m2; correct it"
             )
         if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
             raise ValueError(
                 f"breaks the triangle inequality: one principal moment, {moments[2]:.4g} kg m2, exceeds the "
-                f"sum of the others, {moments[0] + moments[1]:.4g}; correct the elements"
+                f"sum of the others, {moments[0] + moments[1]:.4g} kg m2; correct them"
             )
         return inertia
 
