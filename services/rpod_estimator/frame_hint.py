@@ -44,13 +44,13 @@ def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str
     range_m = points_m[:, 2] if data.lens is not None else np.linalg.norm(points_m, axis=1)
     near_m, far_m = (float(value) for value in np.percentile(range_m, _PERCENT))
     wide_m = float(np.ptp(np.percentile(points_m, _PERCENT, axis=0), axis=0).max())
-    told = f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m"
+    text = f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m"
     hint = (
         _axes_hint(data.lens, points_m)
         or _hint(data.lens, near_m, far_m, radius_m)
         or _size_hint(data.lens, wide_m, radius_m, side_m)
     )
-    return f"{told}{hint}"
+    return f"{text}{hint}"
 
 
 def _points_m(data: SensorFrame) -> NDArray[Any]:
@@ -95,11 +95,11 @@ def _size_hint(lens: Camera | None, wide_m: float, radius_m: float, side_m: floa
     """Return a hint about the unit of length and the lens from the measured width; empty if none."""
     lens_too = "" if lens is None else ", or the focal length of camera_info is that of another mode"
     remedy = f"distances are in another unit: check {_field(lens)}{lens_too}"
-    told = f", {wide_m:{_form(wide_m)}} m wide, while the target is"
+    width = f", {wide_m:{_form(wide_m)}} m wide, while the target is"
     if wide_m > _WIDE * 2.0 * radius_m:
-        return f"{told} {2.0 * radius_m:.3g} m wide at most: if nothing else is in view, {remedy}"
+        return f"{width} {2.0 * radius_m:.3g} m wide at most: if nothing else is in view, {remedy}"
     if wide_m < _SLIM * side_m:
-        return f"{told} {side_m:.3g} m wide or more: if all of it is in view, {remedy}"
+        return f"{width} {side_m:.3g} m wide or more: if all of it is in view, {remedy}"
     return ""
 
 

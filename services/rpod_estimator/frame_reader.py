@@ -132,9 +132,9 @@ class FrameReader:
         self.leading[sensor.name] = kind.leading_part
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
             if other := self.parts.get(topic.name):
-                told = f"the topic {topic.name!r} is already the {other[1]} of the sensor {other[0]}"
+                problem = f"the topic {topic.name!r} is already the {other[1]} of the sensor {other[0]}"
                 remedy = "give each sensor its own topics, or its driver's namespace"
-                raise ConfigurationError(sensor.name, "source.topics", f"{told}; {remedy}")
+                raise ConfigurationError(sensor.name, "source.topics", f"{problem}; {remedy}")
             self.streams += (topic,)
             self.parts[topic.name] = sensor.name, name
 
@@ -184,7 +184,7 @@ class FrameReader:
 
     @property
     def rivals(self) -> Iterator[tuple[str, Peer, Peer]]:
-        """Publishers that contradict each other about a mount or info: its name, the used one, another one."""
+        """Publishers that contradict each other about a mount or info: name, used one, and another one."""
         for frame_id in (sensor.frame_id for sensor in self._sensors.values()):
             if frame_id is not None and (found := self._extrinsics.rivals(frame_id)):
                 yield f"{TF_STATIC.name} of {frame_id}", *found
@@ -329,12 +329,12 @@ def _defect(data: SensorFrame) -> tuple[str, str]:
         first = image.values.flat[0]
         if not (image.values[0] == first).all() or not (image.values == first).all():
             continue
-        told = f"all pixels of its {image.title} are {first}"
+        found = f"all pixels of its {image.title} are {first}"
         if first > 0:
-            return f"{told}, so it is not used; correct its driver, or leave that topic out", image.title
+            return f"{found}, so it is not used; correct its driver, or leave that topic out", image.title
         leading = data.images[0].values
         measured = int(np.count_nonzero(np.isfinite(leading) & (leading > 0)))
         if measured > _MOST_DARK:
-            text = f"{told} although {measured} pixels have a range; correct its driver, or expose longer"
+            text = f"{found} although {measured} pixels have a range; correct its driver, or expose longer"
             return text, ""
     return "", ""

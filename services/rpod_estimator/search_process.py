@@ -189,11 +189,11 @@ class SearchProcess:
         """Return the result of a search whose process has ended; it is started again after a pause."""
         self._process.join(1.0)
         self.end()
-        told = _ENDED.format(self._pause_s)
-        log.error("%s: exit code %s: %s", self._sensor.name, self._process.exitcode, told)
+        reason = _ENDED.format(self._pause_s)
+        log.error("%s: exit code %s: %s", self._sensor.name, self._process.exitcode, reason)
         self._again_s = self._now_s() + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)
-        return Found.nothing(told)
+        return Found.nothing(reason)
 
 
 def serve(

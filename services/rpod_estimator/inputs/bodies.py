@@ -57,7 +57,7 @@ class BodyReport:
 
     def __init__(self, node: Node, bodies: KnownBodies | None) -> None:
         self._node, self._book = node, bodies.book if bodies else BodyBook()
-        self._told: dict[str, BodyState] = {}
+        self._reported: dict[str, BodyState] = {}
 
     def update(self) -> None:
         """Write counters and texts into the diagnostics, and a line into the log when a state changes."""
@@ -68,10 +68,10 @@ class BodyReport:
             name = f"body/{body}/{sensor}"
             health.alarm(name, text if state is BodyState.ELSEWHERE else "")
             health.set_text(name, text if state is BodyState.UNSEEN else "")
-            if state is not self._told.get(name, BodyState.IN_PLACE):
+            if state is not self._reported.get(name, BodyState.IN_PLACE):
                 level = logging.INFO if state is BodyState.IN_PLACE else logging.WARNING
                 log.log(level, "%s", text or f"{sensor} sees the known body {body} in its place again")
-            self._told[name] = state
+            self._reported[name] = state
 
 
 def checked(reading: Odometry) -> Odometry:

@@ -163,8 +163,8 @@ class SensorBook:
         """
         others = now_s - self._others_s <= WINDOW_S
         if (silent_s := self._bus_silent_s(bus_s)) > 0.0:
-            told = self._silence(silent_s, " of bus time", others=others)
-            return InputState(Health.WARN, f"{self.name}: {told}")
+            text = self._silence(silent_s, " of bus time", others=others)
+            return InputState(Health.WARN, f"{self.name}: {text}")
         silent_s = now_s - (self._since_s if self._heard_s is None else self._heard_s)
         if silent_s > self._silent_after_s:
             return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")

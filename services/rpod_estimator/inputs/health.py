@@ -54,7 +54,7 @@ class InputHealth:
             sensor: SensorBook(sensor, part, now_s=now_s, silence_s=silence_s)
             for sensor, part in leading.items()
         }
-        self._told: dict[str, tuple[InputState, float]] = {}
+        self._reported: dict[str, tuple[InputState, float]] = {}
         self._next_s = now_s
         self._state = OK
         self._pause_s = 0.0
@@ -160,11 +160,11 @@ class InputHealth:
 
     def _log(self, name: str, state: InputState, now_s: float) -> None:
         """Write a line when more than the figures of a state change, and each minute while it is not OK."""
-        before, told_s = self._told.get(name, (OK, now_s))
+        before, reported_s = self._reported.get(name, (OK, now_s))
         is_same = (state.level, without_figures(state.text)) == (before.level, without_figures(before.text))
-        if is_same and (state.level == Health.OK or now_s - told_s < REMIND_S):
+        if is_same and (state.level == Health.OK or now_s - reported_s < REMIND_S):
             return
-        self._told[name] = state, now_s
+        self._reported[name] = state, now_s
         if state.level == Health.OK:
             log.info("%s: in order again", name)
         else:

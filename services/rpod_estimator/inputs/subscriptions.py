@@ -269,12 +269,12 @@ class Subscriptions:
         bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
-    def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
+    def _log_mount(self, sensor: str, measurement: Measurement) -> None:
         """Write a mount to the log for the operator, because the data of one sensor do not show its error."""
-        told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
-        if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
-            self._mounts.add(told)
-            log.info("%s", told)
+        text = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
+        if text not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
+            self._mounts.add(text)
+            log.info("%s", text)
 
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:
@@ -338,7 +338,7 @@ class Subscriptions:
                 if self._kept.may_hold(part):
                     self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
-                self._tell_mount(sensor, arrived.measurement)
+                self._log_mount(sensor, arrived.measurement)
                 if not self._in_lockstep:
                     last = self._reader.last(sensor, arrived.measurement.data)
                     self._clocks[sensor].note_end(last, leading, frame.stamp_ns)

@@ -331,9 +331,9 @@ class ScanSearch:
         here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
         here = self._comparison.energies(turned, here_m, rounds=0)
         here[: turns.declared] = 0.0
-        anew, anew_m = self._comparison.centroid_aligned(turned)
-        energy = self._comparison.energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
-        best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
+        centred, centred_m = self._comparison.centroid_aligned(turned)
+        energy = self._comparison.energies(centred, centred_m, rounds=2).reshape(len(turned), -1)
+        best_m = centred_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
             self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)

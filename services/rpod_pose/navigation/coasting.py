@@ -65,8 +65,8 @@ class Coasting:
             for name, stream in state.streams.items()
             if stream.supports(stamp_ns, self._stale_after_s, self._limits.silence_timeout_s)
         ]
-        told = [_beyond(self._alerts[name], predicted) for name in names]
-        return told[0] if told and all(told) else ""
+        beyond = [_beyond(self._alerts[name], predicted) for name in names]
+        return beyond[0] if beyond and all(beyond) else ""
 
     def _beyond(self, state: NavigatorState, predicted: FilterState) -> str:
         alert = next((self._alerts[name] for name in supporters(state.streams)), AlertLimit())

@@ -56,7 +56,7 @@ class Results:
             nis: normalised innovation squared; NaN if the filter was not updated.
             found: the result of a search without a guess, where one was made.
         """
-        told = "; ".join(filter(None, (reason, search)))
+        reasons = "; ".join(filter(None, (reason, search)))
         measured = registration or Registration(Source.NONE)
         hypotheses = self._hypotheses(state, event, found)
         status = EstimatorStatus(
@@ -65,8 +65,8 @@ class Results:
             mode=state.mode,
             source=measured.source,
             sensor=event.sensor,
-            accepted=not told,
-            reason=told,
+            accepted=not reasons,
+            reason=reasons,
             cost_m2=measured.cost_m2,
             nis=nis,
             inliers=measured.inliers,
@@ -81,12 +81,12 @@ class Results:
                 **(evidence_of(state.history.state) if state.history else {}),
             },
         )
-        marks = measured.belief.marks if told else None
+        marks = measured.belief.marks if reasons else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
-        used = registration if odometry and not told else None
-        weak_support = "" if told else measured.belief.reason
+        used = registration if odometry and not reasons else None
+        weak_support = "" if reasons else measured.belief.reason
         return Output(
             status, odometry, refused, joints, weak_support=weak_support, measured=used, search=search
         )

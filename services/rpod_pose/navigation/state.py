@@ -134,8 +134,8 @@ class Output:
         """
         if not self.status.accepted:
             return self.because(why) if self.status.mode == Mode.LOST else self
-        told = f"the track was lost: {why}; this frame begins it again"
-        return replace(self, lost=told).with_evidence(LOST_AFTER_S, unsupported_s)
+        text = f"the track was lost: {why}; this frame begins it again"
+        return replace(self, lost=text).with_evidence(LOST_AFTER_S, unsupported_s)
 
     def with_evidence(self, name: str, value: float) -> "Output":
         """Return this output with one more number in the status's evidence."""
@@ -153,8 +153,8 @@ class Output:
         status, earlier = self.status, then.status
         if status.accepted or earlier.accepted:
             return self.with_evidence(AGE_S, age_s)
-        told = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
-        changes: dict[str, object] = {"reason": told}
+        text = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
+        changes: dict[str, object] = {"reason": text}
         if status.source == Source.NONE:  # nothing was found in this frame itself
             kept = {"stamp_ns", "mode", "sensor", "frame_id"}
             evidence = {**earlier.evidence, **status.evidence}

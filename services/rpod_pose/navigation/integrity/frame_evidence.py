@@ -83,8 +83,8 @@ class FrameEvidence:
             correlated_s: time within which the log odds of two frames count as one.
         """
         tests = []
-        for name, told in self.sizes.items():
-            for size, log_odds in _log_odds(told, correlated_s):
+        for name, frames in self.sizes.items():
+            for size, log_odds in _log_odds(frames, correlated_s):
                 text = f"{name}: {_of_size(1.0 + size.share)} explains the frames better"
                 tests.append(Statistic(text, 2.0 * max(log_odds, 0.0), 2, OTHER_SIZE))
         for name, misfits in self.misfits.items():
@@ -147,8 +147,8 @@ class FrameEvidence:
         turn = np.kron(np.eye(2), rotation_matrix(estimate.T_chaser_target))
         covariance = estimate.covariance[POSE, POSE]
         others, between = [], []
-        for name, told in self.sizes.items():
-            for size, log_odds in _log_odds(told, correlated_s):
+        for name, frames in self.sizes.items():
+            for size, log_odds in _log_odds(frames, correlated_s):
                 step = turn @ size.step
                 probability = min(0.5 * share * exp(min(log_odds, _MOST_LOG_ODDS)), 1.0)
                 text = f"{name}: {_of_size(1.0 + size.share)}"
@@ -175,17 +175,17 @@ def _since(
 
 
 def _log_odds(
-    told: Sequence[tuple[int, tuple[OtherSize, ...]]], correlated_s: float
+    frames: Sequence[tuple[int, tuple[OtherSize, ...]]], correlated_s: float
 ) -> list[tuple[OtherSize, float]]:
     """Return each size with the step of the newest frame, and its log odds by all frames.
 
     Frames within ``correlated_s`` count as one, since their errors are alike: n frames over m such times
     count m / n each.
     """
-    span_s = (told[-1][0] - told[0][0]) * 1e-9
-    weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(told))
+    span_s = (frames[-1][0] - frames[0][0]) * 1e-9
+    weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(frames))
     found = []
-    for size in told[-1][1]:
-        logs = (each.log_odds for _, sizes in told for each in sizes if each.share == size.share)
+    for size in frames[-1][1]:
+        logs = (each.log_odds for _, sizes in frames for each in sizes if each.share == size.share)
         found.append((size, min(weight * sum(logs), size.most_log_odds)))
     return found
