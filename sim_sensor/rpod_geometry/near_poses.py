@@ -3,9 +3,9 @@
 Let the poses differ from a middle pose by at most a shift u and a turn q. Then a point p of the target, at
 the distance |p| from its origin, is displaced by at most |u| + q |p| in target axes. So a ray can meet a
 triangle at one of these poses only if, at the middle pose, it passes the triangle's box widened by this
-length. A triangle that is seen from behind by more than q is met at none of them. The remaining triangles are listed
-once for each ray. Most rays beside a target have an empty list; the others have a few triangles, in the order
-in which the ray can reach them.
+length. A triangle that is seen from behind by more than q is met at none of them. The remaining triangles are
+listed once for each ray. Most rays beside a target have an empty list; the others have a few triangles, in
+the order in which the ray can reach them.
 """
 
 from typing import NamedTuple
