@@ -99,7 +99,7 @@ class Contradictions:
         """Return why the pose does not explain the frame; empty if it does."""
         share, most = self.evidence["inconsistent_pixel_share"], limits.most_inconsistent_share
         if share > most:
-            return f"{share:.1%} of {self.pixels} pixels are inconsistent with the pose, limit {most:.0%}"
+            return f"{share:.1%} of {self.pixels} pixels are inconsistent with the pose, limit {most:.1%}"
         area = limits.patch_px**2
         if self.most_in_patch > limits.most_in_patch:
             return (
