@@ -29,8 +29,8 @@ FRAME_BYTES = 405_504
 _SAMPLE_S = 1.0
 _MINUTE_S = 60.0
 _SETTLED = 0.5
-"""Share of the time, from the beginning, that slopes leave out: caches, queues and the allocator's arenas fill
-in steps, the last of them after a quarter of an hour."""
+"""Share of the time, from the beginning, that slopes leave out: caches, queues and the allocator's arenas
+fill in steps, the last of them after a quarter of an hour."""
 _FILLED_S = 540.0
 """Least time that slopes leave out: each node keeps its last 500 diagnostics, one a second, for receivers
 that missed them. Until then its memory grows by their size, 0.2 MiB a minute in the logger."""

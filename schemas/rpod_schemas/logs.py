@@ -196,8 +196,8 @@ class BusRecord(_Record):
     outages: tuple[OutageTime, ...] = ()
     """Times without a link to the router; each is also a reason why the file is not complete."""
     unconfirmed: tuple[str, ...] = ()
-    """Publishers of other software that ended. They do not tell their last number, so nobody knows whether
-    that message arrived. This does not make the file incomplete."""
+    """Publishers of other software that ended. They do not state their last number, so it is not known
+    whether that message arrived. This does not make the file incomplete."""
 
     @classmethod
     def of_record(cls, record: Mapping[str, str]) -> Self:

@@ -68,7 +68,7 @@ class ReplayReport(Config):
     second_publisher: dict[str, int] = Field(default_factory=dict)
     """Number of messages that were not used because another publisher held the topic, by topic."""
     undivided: dict[str, int] = Field(default_factory=dict)
-    """Number of publishers of each topic whose messages the log does not tell apart, so that all are used."""
+    """Number of publishers of each topic whose messages the log does not distinguish: all are used."""
     resets: Count = 0
     """Number of logged resets that were repeated."""
     unknown_resets: Count = 0

@@ -1,7 +1,8 @@
 """A YAML loader that refuses what PyYAML passes over, or answers with an error without a line.
 
-PyYAML keeps the last of two fields of one name without a word, so that a bus or a list of sensors that stands
-twice in a file would be lost. A number or a date that Python cannot represent ends in a ``ValueError``.
+PyYAML keeps only the last of two fields of one name, without an error, so that a bus or a list of sensors
+that a file gives twice would be lost. A number or a date that Python cannot represent ends in a
+``ValueError``.
 """
 
 from typing import Any

@@ -64,7 +64,7 @@ class BodyAccount(Config):
     hidden: Count = 0
     """Number of frames in which too little of it is visible to decide."""
     last: str = ""
-    """The last sentence that told the operator of it, with figures and remedy."""
+    """The last sentence that reported it to the operator, with figures and remedy."""
 
 
 class EstimateCount(Config):
@@ -124,8 +124,8 @@ class TruthError(Config):
     position_m_rms: NonNegative
     """RMS length of the truth's position error, m."""
     attitude_share: Share
-    """Part of the mean squared attitude error that may be the truth's; at 1 the error tells nothing about the
-    estimates."""
+    """Part of the mean squared attitude error that may be the truth's; at 1 the error carries no information
+    about the estimates."""
     position_share: Share
     """Part of the mean squared position error that may be the truth's."""
 
@@ -222,7 +222,7 @@ class LogCompleteness(Config):
     reasons: tuple[str, ...]
     """Reasons why the log is not complete, a sentence each."""
     unconfirmed: tuple[str, ...] = ()
-    """Publishers of other software that ended without telling their last number, a sentence each; this does
+    """Publishers of other software that ended without stating their last number, a sentence each; this does
     not make the log incomplete."""
 
 

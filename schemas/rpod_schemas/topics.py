@@ -209,7 +209,7 @@ OF_MANY: tuple[Topic, ...] = (TF, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS)
 """Topics that several services publish at the same time, each its own content."""
 
 ESTIMATES: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.name.startswith("estimate/"))
-"""Topics of an estimator; each has a prefix of its own in place of ``estimate``."""
+"""Topics of an estimator; a second estimator has its own prefix in place of ``estimate``."""
 
 ABSOLUTE_TOPICS: tuple[Topic, ...] = tuple(topic for topic in TOPICS if topic.absolute)
 """Topics that stand outside of all namespaces."""

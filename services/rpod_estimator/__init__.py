@@ -1,1 +1,1 @@
-"""Finds and tracks the target's pose in the sensors' data; never reads truth."""
+"""The estimator service: finds and tracks the target's pose in the sensors' data, and never reads truth."""

@@ -1,8 +1,8 @@
-"""Limits unsuccessful searches: where the target is not in view, not every frame is searched for ever.
+"""Limit of unsuccessful searches: if the target is not in view, not every frame is searched.
 
 After ``PATIENCE_S`` of unsuccessful searches, searches take at most a tenth of the time. This ends with the
-first frame whose content differs from that of those frames. The module knows no bus and no clock; times are
-seconds of one monotonic clock.
+first frame whose content differs from that of the frames without the target. The module knows no bus and no
+clock; times are seconds of one monotonic clock.
 """
 
 from collections import deque
@@ -21,17 +21,17 @@ SHARE = 0.1
 _BLOCKS = 12
 """Number of blocks along each side of an image whose content is compared."""
 _TELLING = 0.3
-"""Least share of measured pixels in a block for its mean range to count; the mean of a few stray pixels is
+"""Least share of measured pixels in a block whose mean range is compared; the mean of a few stray pixels is
 noise."""
 _DIRECTIONS = 48
-"""Number of directions along each side of the image of a scan without rows and columns, over a half turn."""
+"""Number of directions along each side of the image of a scan without rows and columns, over 180 deg."""
 _REMEMBERED = 32
-"""Number of recent frames that define what the scene looks like without the target."""
+"""Number of recent frames that define the scene without the target."""
 _DIFFERENT_BLOCKS = 3
-"""Number of blocks that must have changed for a frame to count as different."""
+"""Least number of changed blocks in a frame that counts as different."""
 _MARGIN, _MARGIN_RANGES = 0.1, 0.5
-"""Least change of a block that counts, beyond the range of its values in the frames before: a constant, and a
-share of the width of this range. For normal noise and 32 frames the share puts the limit at four sigma."""
+"""Least change of a changed block, beyond the range of its values in the remembered frames: a constant, and a
+share of the width of this range. For normal noise and 32 frames, the share sets the limit at four sigma."""
 
 
 class Backoff:
@@ -42,10 +42,10 @@ class Backoff:
         self._seen: deque[FloatArray] = deque(maxlen=_REMEMBERED)
         self._next_s = 0.0
         self.pause_s = 0.0
-        """Time between two searches; 0 as long as every frame is searched."""
+        """Time between two searches, s; 0 while every frame is searched."""
 
     def is_paused(self, frame: SensorFrame, now_s: float) -> bool:
-        """Return whether a frame need not be searched."""
+        """Return whether a frame is not searched, because it looks like the frames without the target."""
         if not self.pause_s:
             return False
         if self._differs(content(frame)):
@@ -54,7 +54,7 @@ class Backoff:
         return now_s < self._next_s
 
     def take(self, frame: SensorFrame, *, began_s: float, now_s: float) -> None:
-        """Note an unsuccessful search in a frame from ``began_s`` to ``now_s``."""
+        """Note an unsuccessful search in a frame, which lasted from ``began_s`` to ``now_s``."""
         self._since_s = began_s if self._since_s is None else self._since_s
         seen = content(frame)
         if self._seen and self._seen[-1].shape != seen.shape:  # another image size, or another kind of scan
@@ -81,8 +81,8 @@ class Backoff:
 def content(frame: SensorFrame) -> FloatArray:
     """Return the coarse content of a frame, shape (blocks, 2).
 
-    Of each block: the share of measured pixels, and the mean logarithm of their ranges if the share is large
-    enough, else 0. A scan is taken as an image of its directions.
+    For each block it is the share of measured pixels, and the mean logarithm of their ranges, or 0 if the
+    share is too small. A scan without rows and columns is sorted into an image of directions.
     """
     range_m = _image(frame)
     rows, columns = (max(1, side // _BLOCKS) for side in range_m.shape)

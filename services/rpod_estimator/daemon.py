@@ -1,4 +1,4 @@
-"""The estimator daemon: connects the estimator to the bus and the clock."""
+"""The estimator daemon, which connects the estimator to the bus and the clock."""
 
 import logging
 import time
@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 def run(config: EstimatorConfig, *, version: str, stop: Event) -> None:
-    """Estimate until stopped."""
+    """Run the estimator until ``stop`` is set."""
     log.info(
         "loading the target %s and the methods; the first start compiles, which takes longer", config.target
     )
@@ -121,7 +121,7 @@ class _Service:
         self._readings, self._in_lockstep = readings, in_lockstep
 
     def reset(self, request: ResetRequest) -> Accepted:
-        """Start again, with the sensors as they are set up now."""
+        """Start the estimation again, and accept the present setups of the sensors."""
         check_reset(request)  # before anything changes
         self._subscriptions.request_reset(request)
         self._reset.set()
@@ -138,7 +138,7 @@ class _Service:
         self._process(arrived)
 
     def tick(self, now_ns: int) -> None:
-        """Let the time pass to a stamp, with the readings that have come, and publish what follows."""
+        """Advance the time to a stamp with the readings that have arrived, and publish the results."""
         if not self._in_lockstep:
             for each in self._readings:
                 each.take_in()

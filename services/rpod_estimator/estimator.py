@@ -44,12 +44,12 @@ from rpod_target.mesh.topology import areas_m2
 log = logging.getLogger(__name__)
 
 OpenSearches = Callable[[Mapping[str, Methods], Mapping[str, Any]], Searches]
-"""Opens the port that makes searches, with methods and setups of the sensors, by name."""
+"""Function that opens the port for searches, from the methods and setups of the sensors, by name."""
 TICK_S = 0.1
 """Time between two ticks while no frame arrives."""
 SLOW_SEARCH_S = 4.0
-"""Time after which the status tells that a search takes long, with what its sensor measures. The search for a
-first pose takes less time, unless there are other things in view."""
+"""Time after which the status reports that a search takes long, together with the measured distances. A
+search for a first pose takes less time, unless other things are in view."""
 SLOW_SEARCH = "its search for a first pose takes long"
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
@@ -60,7 +60,7 @@ class Estimator:
     Args:
         config: configuration.
         target: the target to find and track.
-        searches: opens the port that makes the searches; None for searches inline.
+        searches: function that opens the port for searches; None for searches in the caller's thread.
     """
 
     def __init__(self, config: EstimatorConfig, target: Target, searches: OpenSearches | None = None) -> None:
@@ -107,7 +107,7 @@ class Estimator:
 
     @property
     def pins_setups(self) -> bool:
-        """Whether the sensors must stay set up as they are: a track uses them."""
+        """Whether the setups of the sensors must not change, because a track uses them."""
         return self.mode != Mode.ACQUIRING and self._config.changed_setup == "refuse"
 
     def learn(self, infos: Mapping[str, Any]) -> None:
@@ -116,7 +116,7 @@ class Estimator:
         This also loads the compiled code of the methods.
 
         Args:
-            infos: the info that each sensor has published of itself, by sensor name.
+            infos: the newest info message of each sensor, by sensor name.
         """
         for name, sensor in self._sensors.items():
             setup = kind_methods(sensor).setup(sensor, infos.get(name))
@@ -161,7 +161,8 @@ class Estimator:
         )
         for sensor in self._sensors.values():
             if kind_methods(sensor).masked is None:
-                log.warning("%s: sensors of kind %s cannot ignore them", sensor.name, sensor.kind)
+                text = "%s: unreliable parts are not ignored: sensors of kind %s cannot remove their points"
+                log.warning(text, sensor.name, sensor.kind)
 
     @property
     def imu(self) -> ImuTrack | None:
@@ -192,7 +193,7 @@ class Estimator:
             self._searches.keep(())
 
     def _begin_anew(self, stamp_ns: int) -> None:
-        """Forget what is newer than the first frame after a reset, if a clock was set back."""
+        """Forget data that are newer than the first frame after a reset, in case a clock was set back."""
         self._is_reset = False
         if stamp_ns >= self._state.shown_ns - round(self._config.filter.max_delay_s * NANOSECONDS):
             return
@@ -226,7 +227,7 @@ class Estimator:
         return output
 
     def _with_hint(self, output: Output, measurement: Measurement) -> Output:
-        """Return the result of a frame without a pose, with the reason and what the frame measures."""
+        """Return the result of a frame without a pose, with the reason and a hint from its distances."""
         why = output.why or (SLOW_SEARCH if self._searches_long(measurement) else "")
         if not why:
             return output
@@ -234,14 +235,14 @@ class Estimator:
         return output.explained(f"{why} ({hint})" if hint else why)
 
     def _searches_long(self, measurement: Measurement) -> bool:
-        """Return whether a search that the frame waits for takes long."""
+        """Return whether the search for which a frame waits takes long."""
         search = self._state.searches.get(measurement.sensor)
         if search is None:
             return False
         return measurement.stamp_ns - search.event.stamp_ns >= SLOW_SEARCH_S * NANOSECONDS
 
     def integrity(self, output: Output, *, frozen: bool = False) -> Integrity:
-        """Return the integrity of the newest result. Call this once for each result.
+        """Return the integrity of the newest result; to be called once for each result.
 
         Args:
             output: the result.

@@ -1,8 +1,8 @@
-"""Describes what a frame measures, for the reason why no pose was found in it.
+"""Description of a frame's distances, for the reason why no pose was found in it.
 
-A newly connected sensor often measures in another unit than the configuration says, or looks past the target.
-No method can tell this: it finds too few pixels of the target, or nothing of its size. The measured distances
-show it, and the width of everything that is measured.
+A newly connected sensor often measures in another unit than the configuration states, or looks past the
+target. A method cannot report this: it only finds too few pixels of the target, or nothing of its size. The
+measured distances and the width of all measured points show it.
 """
 
 from typing import Any
@@ -13,24 +13,25 @@ from numpy.typing import NDArray
 from rpod_schemas.types import Camera, SensorFrame
 
 _NARROW_PX = 12.0
-"""Width of the target in the image below which a first pose lacks pixels: a body covers at least a quarter of
-the square of its length, and 40 pixels with depth are needed."""
+"""Least width of the target in the image for a first pose: a body covers at least a quarter of the square of
+its length, and 40 pixels with depth are needed."""
 _BESIDE = 0.1
-"""Least plausible distance to the target, over its radius. Where everything that is measured is closer than
-this, the sensor would stand inside the sphere around the target."""
+"""Least plausible distance to the target, over its radius. If all measured points are closer, the sensor
+would be inside the sphere around the target."""
 _AHEAD = 0.6
-"""Mean of the points' directions along an axis from which on the sensor looks along it: within 50 deg."""
+"""Least mean component of the points' directions along the axis along which the sensor looks: the points are
+within about 50 deg of it."""
 _PERCENT = (5.0, 95.0)
 _WIDE = 1.25
-"""Width of everything that is measured, over the target's diameter, above which more than the target is in
-view or the unit is wrong: no body is wider than its diameter, and a focal length may be off by a little."""
+"""Largest width of all measured points, over the target's diameter, if only the target is in view and the
+unit is right: no body is wider than its diameter, and a focal length may be slightly wrong."""
 _SLIM = 0.4
-"""Width of everything that is measured, over the target's second longest side, below which only a part of the
-target is in view, or the unit is wrong: from any direction a whole body is about as wide as that side."""
+"""Least width of all measured points, over the target's second longest side, if the whole target is in view
+and the unit is right: from any direction a body is about as wide as that side."""
 
 
 def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str:
-    """Return what a frame measures, and what may be wrong with it; empty for a frame without a range.
+    """Return the distances in a frame, and a hint at possible errors; empty for a frame without a range.
 
     Args:
         data: the frame.
@@ -43,17 +44,17 @@ def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str
     range_m = points_m[:, 2] if data.lens is not None else np.linalg.norm(points_m, axis=1)
     near_m, far_m = (float(value) for value in np.percentile(range_m, _PERCENT))
     wide_m = float(np.ptp(np.percentile(points_m, _PERCENT, axis=0), axis=0).max())
-    told = f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m"
+    text = f"it measures {near_m:{_form(near_m)}} to {far_m:{_form(far_m)}} m"
     hint = (
         _axes_hint(data.lens, points_m)
         or _hint(data.lens, near_m, far_m, radius_m)
         or _size_hint(data.lens, wide_m, radius_m, side_m)
     )
-    return f"{told}{hint}"
+    return f"{text}{hint}"
 
 
 def _points_m(data: SensorFrame) -> NDArray[Any]:
-    """Return points in a sensor's axes, shape (N, 3); distortion of a lens does not count here."""
+    """Return points, sensor axes, shape (N, 3), m; the distortion of a lens is ignored."""
     if data.lens is None:
         returns: NDArray[Any] = data.returns_m
         return returns
@@ -91,14 +92,14 @@ def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> 
 
 
 def _size_hint(lens: Camera | None, wide_m: float, radius_m: float, side_m: float) -> str:
-    """Return what the measured width says about the unit of length and the lens; empty if nothing."""
+    """Return a hint about the unit of length and the lens from the measured width; empty if none."""
     lens_too = "" if lens is None else ", or the focal length of camera_info is that of another mode"
     remedy = f"distances are in another unit: check {_field(lens)}{lens_too}"
-    told = f", {wide_m:{_form(wide_m)}} m wide, while the target is"
+    width = f", {wide_m:{_form(wide_m)}} m wide, while the target is"
     if wide_m > _WIDE * 2.0 * radius_m:
-        return f"{told} {2.0 * radius_m:.3g} m wide at most: if nothing else is in view, {remedy}"
+        return f"{width} {2.0 * radius_m:.3g} m wide at most: if nothing else is in view, {remedy}"
     if wide_m < _SLIM * side_m:
-        return f"{told} {side_m:.3g} m wide or more: if all of it is in view, {remedy}"
+        return f"{width} {side_m:.3g} m wide or more: if all of it is in view, {remedy}"
     return ""
 
 

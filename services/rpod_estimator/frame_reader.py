@@ -1,7 +1,7 @@
-"""Reads measurements from messages, without a bus; the daemon and the replay of a log both use it.
+"""Conversion of messages into measurements, without a bus; the daemon and the replay of a log both use it.
 
-Parts are identified by topic and by the stamp in their first bytes. Only frames that are
-processed are decoded.
+Parts of a frame are identified by topic and by the stamp in their first bytes. Only frames that are processed
+are decoded.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,15 +34,15 @@ _IN_TIME = frozenset({
     Reason.FROZEN, Reason.NOT_FINITE, Reason.EMPTY, Reason.WRONG_SIZE, Reason.MALFORMED, Reason.OTHER_CAMERA,
     Reason.OTHER_SETUP, Reason.UNKNOWN_FRAME,
 })  # fmt: skip
-"""Reasons to refuse a frame that came in time and holds no measurement."""
+"""Reasons to refuse a frame whose stamp is right but which has no usable measurement."""
 _MOST_OBLONG = 0.03
-"""Greatest difference of two focal lengths, as a share, of a camera with square pixels: by its calibration,
-that of the 2018 paper has 1.3 %."""
+"""Largest relative difference of the two focal lengths of a camera with square pixels: in the calibration of
+the 2018 paper it is 1.3 %."""
 _MOST_DARK = 200
-"""Number of measured pixels up to which an image of zeros beside them may be right: few, faint ones."""
+"""Largest number of measured pixels with which an amplitude of zeros may be right, because they are faint."""
 FROZEN_REPEATS = 2
-"""Number of repetitions of a frame's content from which on its sensor is frozen: the third frame is refused.
-A driver may send one frame twice."""
+"""Least number of repetitions of a frame's content from a frozen sensor: the third frame is refused. A driver
+may send one frame twice."""
 
 
 @dataclass(frozen=True)
@@ -58,44 +58,44 @@ class Arrived:
     refused: str = ""
     """Kind of the reason, a ``Reason``; empty if there is a measurement."""
     repeats: int = 0
-    """Number of frames in a row, up to this one, whose content is that of the frame before."""
+    """Number of successive frames, up to this one, whose content equals that of the previous frame."""
     defect: str = ""
-    """Defect of the data although the frame can be used, with its remedy; empty if there is none."""
+    """Defect of a usable frame's data, with its remedy; empty if there is none."""
     hint: str = ""
-    """Fault in the sensor's last frames that may be why they are refused; empty if there is none."""
+    """Possible cause, from the sensor's last frames, why they are refused; empty if there is none."""
     evidence: Mapping[str, float] = field(default_factory=dict)
-    """Evidence in the status that a live run gave to this frame, in a replay of that run."""
+    """In a replay: evidence in the status of this frame in the live run."""
 
     @property
     def came_in_time(self) -> bool:
-        """Whether the stamp tells the time, although the frame may hold no measurement."""
+        """Whether the stamp is usable, although the frame may have no measurement."""
         return self.measurement is not None or self.refused in _IN_TIME
 
     @classmethod
     def unusable(
         cls, sensor: str, stamp_ns: int, error: MessageRejectedError, arrival_s: float = 0.0
     ) -> Self:
-        """Return a frame that is refused by an error, for its reason."""
+        """Return a frame that is refused for the reason of an error."""
         return cls(sensor, stamp_ns, arrival_s, None, str(error), error.reason)
 
 
 @dataclass
 class _Sensor:
-    """One sensor: how its frames are read, and what the last one was."""
+    """One sensor: the reader of its frames, and data of its last frame."""
 
     source: SourceConfig
     kind: SensorKind
     reader: SensorReader
     info: Received | None = None
-    """Message of the info by which frames are read."""
+    """Info message with which frames are read."""
     leader: Peer | None = None
     """Publisher of the last frame."""
     frame_id: str | None = None
     """Frame of reference of the last frame."""
     content: memoryview = field(default_factory=lambda: memoryview(b""))
-    """Leading part of the last frame, behind its stamp."""
+    """Bytes of the leading part of the last frame, after its stamp."""
     repeats: int = 0
-    """Number of frames in a row with this content, after the first one."""
+    """Number of successive frames with this content, after the first one."""
 
 
 class FrameReader:
@@ -115,7 +115,7 @@ class FrameReader:
         refused."""
         self._sensors: dict[str, _Sensor] = {}
         self.pinned = False
-        """Whether sensors must stay set up as they are, because a track uses them."""
+        """Whether the setups of sensors must not change, because a track uses them."""
         self._infos: Announcements[Received] = Announcements()
         self._setups = SetupCheck()
         self._extrinsics = Extrinsics({sensor.name: sensor.T_chaser_sensor for sensor in sensors})
@@ -132,17 +132,17 @@ class FrameReader:
         self.leading[sensor.name] = kind.leading_part
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():
             if other := self.parts.get(topic.name):
-                told = f"the topic {topic.name!r} is the {other[1]} of the sensor {other[0]} already"
+                problem = f"the topic {topic.name!r} is already the {other[1]} of the sensor {other[0]}"
                 remedy = "give each sensor its own topics, or its driver's namespace"
-                raise ConfigurationError(sensor.name, "source.topics", f"{told}; {remedy}")
+                raise ConfigurationError(sensor.name, "source.topics", f"{problem}; {remedy}")
             self.streams += (topic,)
             self.parts[topic.name] = sensor.name, name
 
     @property
     def infos(self) -> Mapping[str, Any]:
-        """Info that each sensor has published of itself, by sensor name; None where there is none.
+        """Newest info message of each sensor, by sensor name; None if a sensor has sent none.
 
-        For a sensor whose info has changed while it is pinned, this is the one before.
+        If the info of a pinned sensor has changed, this is the previous one.
         """
         infos = {name: sensor.reader.newest_info for name, sensor in self._sensors.items()}
         return {name: self._setups.info(name, info) if self.pinned else info for name, info in infos.items()}
@@ -160,7 +160,7 @@ class FrameReader:
         self._inform(sensor, received.session)
 
     def _inform(self, sensor: str, session: str) -> None:
-        """Let a sensor's reader know the info that counts for the frames of a session."""
+        """Give a sensor's reader the info that applies to the frames of a session."""
         known = self._sensors[sensor]
         info = known.kind.info
         found = self._infos.of(info.of(sensor).name, session) if info is not None else None
@@ -176,7 +176,7 @@ class FrameReader:
             self._infos.leave(lambda name: name == topic.name, session)
 
     def forget(self, *, keep: str = "") -> None:
-        """Accept sensors as they are set up now; with ``keep``, as this session has them."""
+        """Accept the present setups of the sensors; with ``keep``, those that this session publishes."""
         self._setups.forget()
         self._cameras = CameraCheck()
         self._extrinsics.announced.release(keep=keep)
@@ -184,7 +184,7 @@ class FrameReader:
 
     @property
     def rivals(self) -> Iterator[tuple[str, Peer, Peer]]:
-        """Publishers that differ about a mount or an info: what, the one that is used, another one."""
+        """Publishers that contradict each other about a mount or info: name, used one, and another one."""
         for frame_id in (sensor.frame_id for sensor in self._sensors.values()):
             if frame_id is not None and (found := self._extrinsics.rivals(frame_id)):
                 yield f"{TF_STATIC.name} of {frame_id}", *found
@@ -201,12 +201,12 @@ class FrameReader:
         yield from self._infos.peers
 
     def lasting(self, topic: Topic) -> bool:
-        """Return whether the messages of a stream are valid until another comes, whatever their age."""
+        """Return whether a message of a stream is valid until the next one arrives, whatever its age."""
         sensor, part = self.parts[topic.name]
         return part in self.assemblers[sensor].lasting
 
     def due(self, sensor: str, kept: KeptMessages, leading: Received) -> Iterator[tuple[str, Received]]:
-        """Yield kept messages that count from a frame of a sensor on, each with the name of its part."""
+        """Yield kept messages that apply from a frame of a sensor on, each with the name of its part."""
         for topic, (owner, part) in self.parts.items():
             lasts = owner == sensor and part in self.assemblers[sensor].lasting
             if lasts and (message := kept.due(topic, leading)) is not None:
@@ -217,7 +217,7 @@ class FrameReader:
         return peek_stamp(received.payload) + self._sensors[sensor].source.correction_ns
 
     def measurement(self, sensor: str, frame: Assembled[Received]) -> Measurement:
-        """Return a frame decoded and checked, with its mount. Raises ``PartRejectedError``."""
+        """Return the decoded and checked frame with its mount. Raises ``PartRejectedError``."""
         leading, known = frame.parts[self.leading[sensor]], self._sensors[sensor]
         self._succeed(sensor, leading.peer)
         self._inform(sensor, leading.session)
@@ -238,11 +238,11 @@ class FrameReader:
         return Measurement(sensor, data, known.source.boresight_mount(mount))
 
     def _succeed(self, sensor: str, leader: Peer) -> None:
-        """Take note of the publisher of a sensor's frames.
+        """Note the publisher of a sensor's frames.
 
-        Messages of rmw_zenoh name no session, so nothing tells which mount and info come from the publisher
-        of the frames. When another publisher takes over, mount and info of the one before may no longer
-        apply: the newest ones count. While a target is tracked, they are compared with those before.
+        Messages of rmw_zenoh name no session, so it is unknown which mount and info come from the publisher
+        of the frames. When another publisher takes over, the previous mount and info may no longer apply, and
+        the newest ones are used. While a target is tracked, they are compared with the previous ones.
         """
         known = self._sensors[sensor]
         before, known.leader = known.leader or leader, leader
@@ -254,7 +254,7 @@ class FrameReader:
             self._infos.leave(lambda name: name == info.of(sensor).name, "")
 
     def arrived(self, sensor: str, frame: Assembled[Received], arrival_s: float) -> Arrived:
-        """Return a frame with its measurement, or the reason for which it is refused.
+        """Return a frame with its measurement, or with the reason why it is refused.
 
         Raises:
             PartRejectedError: a part cannot be used.
@@ -278,14 +278,14 @@ class FrameReader:
         return replace(arrived, repeats=repeats)
 
     def last(self, sensor: str, data: SensorFrame) -> Last:
-        """Return the last measurement of a frame, by its points, else by the stated duration."""
+        """Return the time of a frame's last measurement, from its points or from the stated duration."""
         known = self._sensors[sensor]
         info = known.reader.newest_info
         stated_s = info.duration_s if isinstance(info, SensorInfo) else 0.0
         return last_of(data, stated_s or known.source.duration_s)
 
     def repeats(self, sensor: str, frame: Assembled[Received]) -> int:
-        """Return how many frames in a row have had the same content: noise never repeats to the bit."""
+        """Return the number of successive frames with identical content; noise is never identical."""
         content = frame.parts[self.leading[sensor]].payload[STAMP_END:]
         known = self._sensors[sensor]
         same = np.array_equal(np.asarray(content), np.asarray(known.content))
@@ -307,7 +307,7 @@ def _shows_something(data: SensorFrame) -> bool:
 
 
 def _oblong(lens: Camera) -> str:
-    """Return how the focal lengths of a lens differ, if its pixels would be far from square; else nothing."""
+    """Return how the focal lengths of a lens differ, if its pixels are far from square; otherwise empty."""
     ratio = lens.fx / lens.fy - 1.0
     if abs(ratio) <= _MOST_OBLONG:
         return ""
@@ -319,21 +319,22 @@ def _oblong(lens: Camera) -> str:
 
 
 def _defect(data: SensorFrame) -> tuple[str, str]:
-    """Return which image beside the leading one has one value in all pixels, and its name if it is not used.
+    """Return the defect of an image, besides the leading one, with one value in all pixels, and its name.
 
-    A few zeros may be a measurement: the target may be too faint for the encoding. Any other value in all
-    pixels is none, and the frame is used without the image.
+    The name is empty if the image is used. An image of zeros may be right if few pixels have a range: the
+    target may be too faint for the encoding. With any other constant value, the frame is used without the
+    image.
     """
     for image in data.images[1:]:
         first = image.values.flat[0]
         if not (image.values[0] == first).all() or not (image.values == first).all():
             continue
-        told = f"all pixels of its {image.title} are {first}"
+        found = f"all pixels of its {image.title} are {first}"
         if first > 0:
-            return f"{told}, so it is not used; correct its driver, or leave that topic out", image.title
+            return f"{found}, so it is not used; correct its driver, or leave that topic out", image.title
         leading = data.images[0].values
         measured = int(np.count_nonzero(np.isfinite(leading) & (leading > 0)))
         if measured > _MOST_DARK:
-            text = f"{told} although {measured} pixels have a range; correct its driver, or expose longer"
+            text = f"{found} although {measured} pixels have a range; correct its driver, or expose longer"
             return text, ""
     return "", ""

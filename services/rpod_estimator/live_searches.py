@@ -1,8 +1,7 @@
-"""Searches of a live estimator: in workers beside it, one for each sensor.
+"""Searches of a live estimator, in one worker for each sensor.
 
-A search begins when the navigator asks for it, and its result is handed out at the first frame of the sensor
-after its end. Unsuccessful searches are limited (``backoff.py``): this module measures how long each one
-takes.
+A search begins when the navigator requests it, and its result is available at the first frame of the sensor
+after its end. Unsuccessful searches are limited (``backoff.py``); this module measures the time of each one.
 """
 
 import time
@@ -17,11 +16,11 @@ from rpod_pose.navigation.first_pose.searches import Found, Search
 from rpod_pose.ports import Methods
 
 READY_S = 60.0
-"""Longest time for which a start waits for the workers; searches that come before they are ready wait."""
+"""Longest time for which the estimator's start waits for the workers; earlier searches wait for them."""
 
 
 class Worker(Protocol):
-    """Searches for one sensor, one search at a time, and never makes the caller wait."""
+    """Searches for one sensor, one search at a time, and never blocks the caller."""
 
     @property
     def is_ready(self) -> bool:
@@ -29,19 +28,19 @@ class Worker(Protocol):
         ...
 
     def begin(self, search: Search, setup: Any) -> None:
-        """Search a frame of a sensor with this setup."""
+        """Start a search in a frame of a sensor with this setup."""
         ...
 
     def result(self) -> Found | None:
-        """Return the result of the search that was begun last; None while it runs."""
+        """Return the result of the newest search; None while it runs."""
         ...
 
     def cancel(self) -> None:
-        """Drop the result of the search that was begun last."""
+        """Cancel the newest search."""
         ...
 
     def end(self) -> None:
-        """End at once."""
+        """End the worker at once."""
         ...
 
 
@@ -50,7 +49,7 @@ class _Running:
     search: Search
     began_s: float
     found: Found | None = None
-    """Its result, which the navigator has not asked for since."""
+    """Result of the search, which the navigator has not fetched yet."""
     is_reported: bool = False
 
     @property
@@ -78,12 +77,15 @@ class LiveSearches:
         self._backoffs = defaultdict[str, Backoff](Backoff)
 
     def of(self, _methods: Mapping[str, Methods], setups: Mapping[str, Any]) -> Self:
-        """Return this port for an estimator whose sensors have these setups; the workers have methods."""
+        """Return this port for an estimator whose sensors have these setups.
+
+        The methods are not used, since the workers have their own.
+        """
         self._setups = setups
         return self
 
     def result(self, search: Search) -> Found | None:
-        """Return the result of a search, which begins when it is asked for first; None while it runs."""
+        """Return the result of a search, or None while it runs; the first call starts the search."""
         running = self._running.get(search.sensor)
         if running is None or running.stamp_ns != search.event.stamp_ns:
             return self._begin(search)
@@ -106,7 +108,7 @@ class LiveSearches:
         return None
 
     def unreported(self, sensor: str) -> tuple[Search, Found] | None:
-        """Return the search of a sensor whose result waits for its next frame, once for each search."""
+        """Return the ended search of a sensor whose result waits for the next frame; only once for each."""
         running = self._running.get(sensor)
         if running is None or running.is_reported:
             return None
@@ -115,7 +117,7 @@ class LiveSearches:
         return None if running.found is None else (running.search, running.found)
 
     def keep(self, searches: Collection[Search]) -> None:
-        """Cancel all searches but these."""
+        """Cancel all searches except these."""
         wanted = {(search.sensor, search.event.stamp_ns) for search in searches}
         for sensor, worker in self._workers.items():
             running = self._running.get(sensor)
@@ -125,7 +127,7 @@ class LiveSearches:
 
     @property
     def pause_s(self) -> float:
-        """Longest time between two searches; 0 as long as none is limited."""
+        """Longest time between two searches, s; 0 while none is limited."""
         return max((backoff.pause_s for backoff in self._backoffs.values()), default=0.0)
 
     def end_pauses(self) -> None:

@@ -1,4 +1,4 @@
-"""Publishes the estimator's results: odometry, pose, frames and joints of the target, transform, status."""
+"""Publishing of the estimator's results: odometry, pose, frames and joints, transform, integrity, status."""
 
 import time
 
@@ -61,7 +61,7 @@ class Outputs:
         self._validity.publish(write_validity(validity))
 
     def publish_estimate(self, output: Output, validity: EstimateValidity) -> None:
-        """Publish an estimate and whether it is valid, at once: a controller waits for them."""
+        """Publish an estimate and its validity at once, since a controller waits for them."""
         odometry = output.odometry
         if odometry is not None:
             self._odometry.publish(write_odometry(odometry))
@@ -83,7 +83,7 @@ class Outputs:
     def publish_judgement(
         self, status: EstimatorStatus, integrity: Integrity, *, since_s: float | None = None
     ) -> None:
-        """Publish how far an estimate can be wrong, and its status last, because lockstep waits for it.
+        """Publish the integrity of an estimate, and last its status, because lockstep waits for the status.
 
         ``since_s`` is the arrival of the frame's last part on the monotonic clock.
         """
@@ -93,11 +93,11 @@ class Outputs:
         self._publish_status(status)
 
     def _publish_status(self, status: EstimatorStatus) -> None:
-        """Publish a status, or a short one that says so if it exceeds the bounds of its message."""
+        """Publish a status, or a short one that reports that it exceeds the bounds of its message."""
         try:
             message = write_status(status)
         except MessageRejectedError as error:
             self._node.reject(self._status.topic.name, error)
             kept = status.model_dump(include={"stamp_ns", "frame_id", "mode", "sensor"})
-            message = write_status(EstimatorStatus(**kept, reason=f"the status cannot be told: {error}"))
+            message = write_status(EstimatorStatus(**kept, reason=f"the status cannot be sent: {error}"))
         self._status.publish(message)

@@ -1,17 +1,17 @@
-"""A process that searches for one sensor, so that tracking waits neither for its turn nor for a lock.
+"""A process that searches for one sensor, so that tracking waits neither for the processor nor for a lock.
 
 The first process of a sensor is a fork of the estimator: it has the target and the methods that the estimator
-has made, and is ready at once. A fork keeps only the thread that forks, and a lock that another thread holds
+has created, and is ready at once. A fork has only the thread that forks, and a lock that another thread holds
 stays locked for ever. Therefore the estimator forks before it opens the bus, and only if it has no other
 threads than after its imports. These are harmless: those of ``lifecycle``, which wait in ``read``, and those
 of OpenBLAS, which ends them itself before a fork. Otherwise (Open3D has threads once it has built a target),
-and at each restart, the process is spawned: it makes its methods anew, which takes seconds.
+and at each restart, the process is spawned: it creates its methods again, which takes seconds.
 
-Beside a track the process searches at a lower priority than the estimator, and is replaced at this priority;
-without a track nothing is more urgent than the search. Linux gives each thread a priority of its own, which
-can only be lowered: what is less urgent runs in a thread. The process ends with the estimator, which waits
-until the process is warm. A search that nobody waits for any more ends at its next step. If it has not ended
-after about the time of a restart, the process is replaced.
+While a target is tracked, the process searches at a lower priority than the estimator, and a new process
+starts at this priority. Without a track nothing is more urgent than the search. On Linux each thread has its
+own priority, which can only be lowered. So a search of lower priority runs in a separate thread. The process
+ends with the estimator, which waits at its start until the process is warm. A cancelled search ends at its
+next step. If it has not ended after about the time of a restart, the process is replaced.
 """
 
 import gc
@@ -35,21 +35,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_pose.cancellation import CancelledError, cancelled_if
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.first_pose.searches import Found, Search, find
 from rpod_pose.ports import Methods
-from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.sensor import SensorInput
 from rpod_target import Target, load_target
 
 log = logging.getLogger(__name__)
 
 NICENESS = 10
-"""Lower priority of a search beside a track: a tracked frame on a loaded machine does not wait for it."""
+"""Niceness of a search during a track, so that tracked frames do not wait for it on a loaded machine."""
 RESTART_S = 3.0
-"""About the time in which a process starts, imports and warms up, s."""
+"""Approximate time in which a process starts, imports and warms up, s."""
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that a terminal or a service manager sends to a whole group: the estimator heeds them."""
+"""Signals that a terminal or a service manager sends to a whole group; only the estimator handles them."""
 _READY, _CANCEL = b"ready", b"cancel"
 _ENDED = "the process of the search has ended; it is started again after {:.0f} s"
 _LONGEST_PAUSE_S = 60.0
@@ -58,11 +58,11 @@ _LONGEST_PAUSE_S = 60.0
 
 @dataclass(frozen=True)
 class Loaded:
-    """Data of the estimator that a forked process has."""
+    """Data that a fork inherits from the estimator."""
 
     target: Target
     methods: Methods | None
-    """Methods of the sensor, warmed up; None as long as its setup is not known."""
+    """Methods of the sensor, warmed up; None while its setup is unknown."""
     setup: Any
     """Result of ``KindMethods.setup`` for these methods."""
 
@@ -73,7 +73,7 @@ class SearchProcess:
     Args:
         target: name or file of the target.
         sensor: configuration of the sensor.
-        loaded: what the first process has by a fork; None to spawn it.
+        loaded: data that the first process inherits as a fork; None to spawn it.
         now_s: monotonic clock, s.
     """
 
@@ -126,16 +126,16 @@ class SearchProcess:
         return self._is_ready
 
     def begin(self, search: Search, setup: Any) -> None:
-        """Search a frame, as soon as the process can; the search before must have ended or be cancelled."""
+        """Search a frame as soon as possible; the previous search must have ended or be cancelled."""
         self._next = packed((search.sent, setup))
         self._receive()
 
     def result(self) -> Found | None:
-        """Return the result of the search that was begun last; None while it runs."""
+        """Return the result of the newest search; None while it runs."""
         return self._receive()
 
     def cancel(self) -> None:
-        """Drop the result of the search that was begun last."""
+        """Cancel the newest search."""
         self._next = None
         if self._is_busy and self._unwanted_s is None:
             self._unwanted_s = self._now_s()
@@ -175,7 +175,7 @@ class SearchProcess:
         return found
 
     def _restart(self) -> bool:
-        """Start the process again, with the search that waits; return whether the system lets it start."""
+        """Start the process again with the waiting search; return whether the system could start it."""
         waiting, self._again_s = self._next, None
         try:
             self._spawn(beside_tracking=True)
@@ -186,26 +186,26 @@ class SearchProcess:
         return self._again_s is None
 
     def _give_up(self) -> Found:
-        """Return why there is no result: the process has ended. It is started again after a pause."""
+        """Return the result of a search whose process has ended; it is started again after a pause."""
         self._process.join(1.0)
         self.end()
-        told = _ENDED.format(self._pause_s)
-        log.error("%s: exit code %s: %s", self._sensor.name, self._process.exitcode, told)
+        reason = _ENDED.format(self._pause_s)
+        log.error("%s: exit code %s: %s", self._sensor.name, self._process.exitcode, reason)
         self._again_s = self._now_s() + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)
-        return Found.nothing(told)
+        return Found.nothing(reason)
 
 
 def serve(
     connection: Connection, target_name: str, sensor: SensorInput, beside_tracking: bool = True
 ) -> None:
-    """Search as long as the estimator lives.
+    """Run searches as long as the estimator runs.
 
     Args:
         connection: connection to the estimator.
         target_name: name or file of the target.
         sensor: configuration of the sensor.
-        beside_tracking: whether the methods are made at the lower priority.
+        beside_tracking: whether the methods are created at the lower priority.
     """
     _ignore_stops()
     with _less_urgent() as executor:
@@ -251,7 +251,7 @@ def _search_on(
             search, setup = pickle.loads(said)  # noqa: S301 - of our own process
             if methods is None or pickle.dumps(setup) != known:
                 methods, known = ready_methods(sensor, target, setup), pickle.dumps(setup)
-            with unless(connection.poll):  # whatever is sent during a search cancels it
+            with cancelled_if(connection.poll):  # whatever is sent during a search cancels it
                 if search.beside_track:
                     found = less_urgent.submit(copy_context().run, _found, search, methods).result()
                 else:
@@ -260,7 +260,7 @@ def _search_on(
 
 
 def native_threads() -> int | None:
-    """Return the number of threads of this process, those of libraries included; None if it is not known."""
+    """Return the number of threads of this process, with those of libraries; None if it is unknown."""
     tasks = Path("/proc/self/task")
     return len(list(tasks.iterdir())) if tasks.is_dir() else None
 
@@ -268,7 +268,7 @@ def native_threads() -> int | None:
 def _found(search: Search, methods: Methods) -> Found:
     try:
         return find(search, methods)
-    except UnwantedError as error:
+    except CancelledError as error:
         return Found.nothing(str(error))
 
 

@@ -1,7 +1,7 @@
-"""Refuses frames whose sensor is no longer set up as it was when the running track used it.
+"""Refusal of frames whose sensor has another setup than in the frames that the running track has used.
 
-A mount that moves by a metre moves the estimate by a metre, and no measurement of this sensor tells the
-difference. Nobody can know which of the two is right, so the operator decides, by a reset or by a policy.
+A mount that moves by a metre moves the estimate by a metre, and no measurement of this sensor shows it. The
+estimator cannot know which of the two setups is right. So the operator decides, by a reset or by a policy.
 """
 
 from typing import Any, NamedTuple
@@ -13,9 +13,9 @@ from rpod_runtime.sensor_data.extrinsics import apart, differ
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 _MAY_CHANGE = frozenset({"integration_time_s"})
-"""Fields of an info that a sensor changes by itself: its exposure."""
+"""Fields of an info that a sensor changes by itself, like its exposure time."""
 _SHOWN = 4
-"""Largest number of values that a text shows."""
+"""Largest number of values of a field that a message lists."""
 
 
 class Setup(NamedTuple):
@@ -27,19 +27,19 @@ class Setup(NamedTuple):
 
 
 class SetupCheck:
-    """Remembers how each sensor was set up in the last frame that was used."""
+    """Remembers the setup of each sensor in the last frame that was used."""
 
     def __init__(self) -> None:
         self._known: dict[str, Setup] = {}
 
     def check(self, sensor: str, setup: Setup, *, source: object, pinned: bool) -> None:
-        """Take note of a frame's setup.
+        """Note a frame's setup, or refuse it.
 
         Args:
             sensor: name of the sensor.
-            setup: setup of the sensor at this frame.
+            setup: setup of the sensor for this frame.
             source: publisher of the frame, for the operator.
-            pinned: whether the setup must be that of the frames before, if there are any.
+            pinned: whether the setup must equal that of the earlier frames, if there are any.
 
         Raises:
             MessageRejectedError: the setup is pinned and differs; the text says what changed, by how much.

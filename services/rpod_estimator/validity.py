@@ -39,7 +39,7 @@ class _Sensor:
     gaps_s: deque[float] = field(default_factory=lambda: deque(maxlen=9))
     """Times between its last frames."""
     contradiction: str = ""
-    """Why its last frame must not be used at all; empty if it may be."""
+    """Reason why its last frame must not be used at all; empty if it may be used."""
     repeats: int = 0
     """Number of frames since its last new one that are identical to it."""
 
@@ -48,7 +48,7 @@ class _Sensor:
         return float("-inf") if self.new_s is None else self.new_s + self._allowed_s(stale_after_s)
 
     def sends(self, now_s: float, stale_after_s: float) -> bool:
-        """Return whether it still sends frames; what a silent sensor sent last tells nothing about others."""
+        """Return whether it still sends frames; the last frame of a silent sensor does not matter."""
         return self.arrival_s is not None and now_s <= self.arrival_s + self._allowed_s(stale_after_s)
 
     def _allowed_s(self, stale_after_s: float) -> float:
@@ -56,7 +56,7 @@ class _Sensor:
 
 
 class Validity:
-    """Follows what supports the newest estimate. Safe to use from several threads.
+    """Keeps the data from which the newest estimate's validity follows. Safe to use from several threads.
 
     Args:
         stale_after_s: longest time without a new measurement, unless the sensor's own period is longer.
@@ -66,7 +66,7 @@ class Validity:
         self._stale_after_s = stale_after_s
         self._sensors: dict[str, _Sensor] = {}
         self._mode = Mode.ACQUIRING
-        self._of_no_use = ""
+        self._unusable = ""
         self._stamp_ns = self._measured_ns = 0
         self.newest_ns = 0
         """Newest stamp of a result or a frame so far."""
@@ -78,7 +78,7 @@ class Validity:
             self._mode = output.status.mode
             self.newest_ns = max(self.newest_ns, _newest_ns(output, arrived))
             if output.odometry is not None:
-                self._stamp_ns, self._of_no_use = output.odometry.stamp_ns, output.of_no_use
+                self._stamp_ns, self._unusable = output.odometry.stamp_ns, output.unusable
             if arrived is not None:
                 self._take_frame(output, arrived, now_s)
 
@@ -93,7 +93,7 @@ class Validity:
             self._measured_ns = max(self._measured_ns, arrived.stamp_ns)
 
     def at(self, now_s: float, now_ns: int) -> EstimateValidity:
-        """Return the validity of the newest estimate at a time, by the monotonic clock and by the stamps'."""
+        """Return the validity of the newest estimate at a time, given in monotonic and in stamp time."""
         with self._lock:
             reason = self._reason(now_s)
             age_s = (now_ns - self._measured_ns) / NANOSECONDS if self._measured_ns else float("nan")
@@ -120,7 +120,7 @@ class Validity:
             if sensor.repeats >= FROZEN_REPEATS and now_s > sensor.deadline_s(self._stale_after_s):
                 return f"{name} is frozen: its last {sensor.repeats + 1} frames are identical"
         if now_s <= self._deadline_s():
-            return self._of_no_use
+            return self._unusable
         accepted_s = [each.new_s for each in self._sensors.values() if each.new_s is not None]
         if not accepted_s:
             return "no measurement was accepted yet"
@@ -128,11 +128,11 @@ class Validity:
 
 
 class Beacon:
-    """Publishes the validity between the estimates: at once when it ends, else every ``BEACON_S``.
+    """Publishes the validity between the estimates: at once when it ends, otherwise every ``BEACON_S``.
 
-    Where time comes from the bus it is silent, because a thread of its own would make runs differ. There the
-    validity is published with each result, at the newest stamp of the results: a message of the clock may
-    arrive after a frame that was published later, so that the clock's time would differ between runs.
+    If time comes from the bus, it is silent, because with a separate thread two runs would differ. Then the
+    validity is published with each result, at the newest stamp of the results. The clock's time is not used:
+    a message of the clock may arrive after a frame that was published later, so that runs would differ.
 
     Args:
         validity: the validity to publish.
@@ -148,7 +148,7 @@ class Beacon:
         self._thread = Thread(target=self._run, name="validity", daemon=True)
 
     def now_s(self) -> float:
-        """Return the time in which the age of measurements counts: monotonic, or that of the results."""
+        """Return the time from which the age of measurements follows: monotonic, or that of the results."""
         return self._validity.newest_ns / NANOSECONDS if self.is_silent else time.monotonic()
 
     def take(self, output: Output, arrived: Arrived | None) -> EstimateValidity:
@@ -183,7 +183,7 @@ class Beacon:
             self._tell(self.current())
 
     def _wait_s(self) -> float:
-        """Return the time to the next message: when the estimate becomes invalid, if that is earlier."""
+        """Return the time to the next message, s; it is earlier if the estimate becomes invalid before."""
         left_s = self._validity.deadline_s() - self.now_s()
         return min(BEACON_S, left_s + _MARGIN_S) if left_s > 0.0 else BEACON_S
 

@@ -1,4 +1,4 @@
-"""The belief in a registration by its residuals, for methods without a statistical model of their sensor.
+"""The belief in a registration from its residuals, for methods without a statistical model of their sensor.
 
 f_MAX is the 2015 paper's failure detection (section 4.5). Alone it accepts wrong poses on sparse scans.
 Therefore the share of inliers is checked too, and the share of rays or pixels on which model and measurement
@@ -16,9 +16,10 @@ from rpod_schemas.config.acceptance import AcceptanceConfig
 
 
 def accepted_by_residuals(registration: Registration, limits: AcceptanceConfig) -> Registration:
-    """Return a registration with its belief by cost, inliers and self-check; unchanged without a pose.
+    """Return a registration with the belief that follows from cost, inliers and self-check.
 
-    A share that the method does not know, NaN, is not checked.
+    A registration without a pose is returned unchanged. A share that is NaN, because the method does not
+    know it, is not checked.
     """
     if registration.T_sensor_target is None:
         return registration

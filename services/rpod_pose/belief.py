@@ -1,6 +1,7 @@
-"""The belief in a measured pose: one value that the method makes and the navigator reads.
+"""The belief in a measured pose: whether the measurement supports it, and why.
 
-In addition, a record of a stream of measurements keeps the share that did not support the tracked pose.
+The method that measures a pose also states its belief in it. The navigator decides by this belief alone. A
+``Record`` keeps the share of a sensor's recent frames that did not support the tracked pose.
 """
 
 from collections.abc import Mapping
@@ -15,8 +16,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import BeliefLevel, Hypothesis
 
 MEMORY_FRAMES, PRIOR_FRAMES = 90.0, 20.0
-"""Frames that a record remembers, and assumed number of consistent frames before the first. Hand: at 45 Hz a
-record remembers two seconds; the prior weighs less than half a second."""
+"""Number of frames that a record remembers, and number of consistent frames that it assumes at the beginning.
+Hand: at 45 Hz a record remembers two seconds; the prior weighs less than half a second."""
 SYMMETRY = "symmetry of the target"
 """Name of a rival that is the best pose turned by an exact symmetry of the target."""
 
@@ -39,16 +40,19 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class PixelMarks:
-    """Pixels of a frame, or rays of a scan, that are inconsistent with a pose; pixels on a coarser grid."""
+    """Pixels of a frame, or rays of a scan, that are inconsistent with a pose.
+
+    The grid of these pixels may be coarser than that of the frame.
+    """
 
     marked: NDArray[np.bool_]
-    """Whether each pixel is inconsistent, shape (rows, columns)."""
+    """Whether each pixel of the coarse grid is inconsistent, shape (rows, columns)."""
     stride: int
-    """Distance of two of the coarse pixels in pixels of the frame."""
+    """Distance between two neighbours in the coarse grid, in pixels of the frame."""
 
     @property
     def centre_px(self) -> tuple[int, int]:
-        """Column and row of the frame around which most of the marked pixels lie: their median."""
+        """Median column and median row of the marked pixels, in pixels of the frame."""
         row, column = (int(self.stride * (np.median(places) + 0.5)) for places in np.nonzero(self.marked))
         return column, row
 
@@ -61,19 +65,19 @@ class Belief:
     reason: str = ""
     """Reason why the result is not accepted, with figures, for the operator; empty if it is accepted."""
     evidence: Mapping[str, float] = field(default_factory=dict)
-    """The numbers that the level follows from, by name; each name carries its unit or is a share."""
+    """Numbers from which the level follows, by name. The name ends with the unit if the number has one."""
     rivals: tuple[Rival, ...] = ()
-    """Other poses that explain the measurement, likeliest first; for an accepted pose, unlikely ones."""
+    """Other poses that explain the measurement, likeliest first. Those of an accepted pose are unlikely."""
     marks: PixelMarks | None = None
-    """Pixels of the frame that are inconsistent with the pose; None if it is not known."""
+    """Pixels of the frame that are inconsistent with the pose; None if they are not known."""
     needed_weight: float = 1.0
-    """Weight of the best pose among its rivals, with its exact symmetries, from which on it is accepted."""
+    """Least weight at which the best pose is accepted. Its exact symmetries count as the pose itself."""
     insufficient: str = ""
     """Reason why the measurement alone cannot begin a track, although a running track may use it."""
 
     @property
     def ranked(self) -> bool:
-        """Whether the pose was compared with its rivals; that of a contradicted pose may be."""
+        """Whether the pose was compared with its rivals, which is possible for a contradicted pose too."""
         return self.needed_weight < 1.0
 
     @property
@@ -97,7 +101,7 @@ class Belief:
         return self.level is not BeliefLevel.CONTRADICTED
 
     def hypotheses(self, T_sensor_target: RigidTransform) -> tuple[Hypothesis, ...]:
-        """Return the pose and its rivals with weights by their likelihoods, which sum to 1."""
+        """Return the pose and its rivals with weights proportional to their likelihoods, which sum to 1."""
         logs = np.array([0.0, *(rival.log_likelihood for rival in self.rivals)])
         poses = (("", T_sensor_target), *((rival.name, rival.T_sensor_target) for rival in self.rivals))
         return tuple(
@@ -117,12 +121,12 @@ def contradicted(reason: str, **evidence: float) -> Belief:
 
 
 def undetermined(covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: float) -> str:
-    """Return which part of a pose a measurement leaves undetermined; empty if none.
+    """Return the reason why a measurement does not determine position or attitude; empty if it does.
 
     Args:
         covariance: covariance of (dp, dtheta), m and rad, shape (6, 6).
-        max_sigma_m: greatest standard deviation of the position in its worst direction.
-        max_sigma_deg: greatest standard deviation of the attitude about its worst axis.
+        max_sigma_m: largest allowed standard deviation of the position in its worst direction.
+        max_sigma_deg: largest allowed standard deviation of the attitude about its worst axis.
     """
     for name, block, most, unit in (
         ("position", covariance[:3, :3], max_sigma_m, "m"),

@@ -23,6 +23,6 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Tick:
-    """A time up to which there was no measurement."""
+    """A time up to which no measurement has arrived."""
 
     stamp_ns: int

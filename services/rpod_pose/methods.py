@@ -1,4 +1,4 @@
-"""Returns the methods by which each sensor acquires and tracks the target, by configuration and registry."""
+"""Creation of the methods by which a sensor acquires and tracks the target, from its configuration."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +15,7 @@ from rpod_target import Target, posed
 
 
 def kind_methods(sensor: SensorInput) -> KindMethods:
-    """Return the maker of methods for a sensor's kind; the modules that it needs are imported."""
+    """Return the functions that create the methods of a sensor's kind; their modules are imported."""
     made: KindMethods = resolve(sensor_kind(sensor.kind).methods)
     return made
 
@@ -46,7 +46,7 @@ def _rigid(
     make_tracker: Callable[[Task], Tracker[Any]],
     points: Callable[[Any], Any],
 ) -> RigidMethods:
-    """Return the makers of a sensor's methods for a rigid target."""
+    """Return the functions that create a sensor's methods for a rigid target."""
 
     def methods(target: Target) -> Methods:
         return methods_of(sensor, target, setup)

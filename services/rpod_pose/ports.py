@@ -36,75 +36,79 @@ class Angle:
 
     angle_rad: float
     sigma_rad: float
-    """Its standard deviation; that of a uniform angle between the limits if the angle is unknown."""
+    """Standard deviation of the angle. If the angle is unknown, it is that of a uniform distribution between
+    the joint's limits."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorParts:
-    """Errors of a measured pose by how long they last, as the frame, calibration and target's file say.
+    """Errors of a measured pose, separated by how long they last.
 
-    Each is a covariance of (dp, dtheta), sensor's fixed axes, shape (6, 6). Their sum may differ from the
-    registration's covariance, which contains assumptions that hold where nothing is declared.
+    They follow from the frame, the calibration and the target's file. Each covariance is that of
+    (dp, dtheta), sensor's fixed axes, shape (6, 6). Their sum may differ from the registration's covariance,
+    which also contains assumptions about errors that nobody has declared.
     """
 
     white: FloatArray
-    """Errors by the frame's own noise: new in each frame."""
+    """Errors caused by the noise of the frame; they are independent in each frame."""
     of_sensor: FloatArray
-    """Errors of the sensor's calibration: they stay in the sensor's axes."""
+    """Errors of the sensor's calibration; they are constant in the sensor's axes."""
     of_image: FloatArray
-    """Errors by where surfaces and edges lie on the pixels: they last until the image has moved by a part of
-    one."""
+    """Errors that depend on where surfaces and edges lie relative to the pixels. They last until the image
+    has moved by a part of a pixel."""
     image_turn_rad: float
-    """Turn of the target, as seen, by which these errors have changed to other ones."""
+    """Rotation of the target relative to the line of sight after which the correlation of ``of_image`` is
+    1/e."""
     of_model: FloatArray
-    """Errors of the target's model: they stay in the target's axes as long as the same parts are seen."""
+    """Errors of the target's model; they are constant in the target's axes while the same parts are seen."""
 
     @classmethod
     def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:
-        """Return the parts of a pose with no other lasting errors than those of the target's model.
+        """Return the parts of a pose whose only lasting errors are those of the target's model.
 
-        For example those of a scan: in the next scan each ray meets another place, so the errors by sampling
-        are new.
+        A LIDAR scan is an example: in the next scan each ray meets another place of the surface, so that the
+        errors caused by sampling are independent.
         """
         return cls(white, np.zeros((6, 6)), np.zeros((6, 6)), np.inf, of_model)
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """A sum over one frame that is large only if the target's model, or the pose, is wrong.
+    """A test value of one frame that is large only if the target's model or the pose is wrong.
 
-    If they are right, its mean is 0 at most, and sums of different frames are independent.
+    If both are right, its mean is at most 0, and the values of different frames are independent.
     """
 
     value: float
     variance: float
-    """Its variance if model and pose are right."""
+    """Variance of the value if model and pose are right."""
 
 
 @dataclass(frozen=True, eq=False)
 class OtherSize:
-    """The pose of a frame if the target has another size than its model."""
+    """The pose of a frame under the hypothesis that the target is larger or smaller than its model."""
 
     share: float
-    """Share by which the target is larger, about its origin."""
+    """Relative enlargement of the target about its origin; negative if it is smaller."""
     log_odds: float
-    """Log likelihood of the frame with this size, less that with the model's own size."""
+    """Log likelihood of the frame with this size minus that with the model's own size."""
     step: FloatArray
     """Step (dtau, dtheta) from the registration's pose to the one with this size, target axes, shape (6,)."""
     most_log_odds: float = inf
-    """Greatest log odds that all frames together may have: an error that they share explains more as well."""
+    """Upper limit of the log odds of all frames together: larger odds may also be caused by an error that
+    all frames share."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartSolution:
-    """The position by a part of a frame's data, which may be wrong independently of the rest."""
+    """The position measured by one part of a frame's data, which may be wrong while the rest is right."""
 
     name: str
-    """Part of the data by which it is measured."""
+    """Name of this part of the data."""
     offset_m: FloatArray
-    """Vector from the registration's position to it, sensor axes, shape (3,), m."""
+    """Vector from the registration's position to this position, sensor axes, shape (3,), m."""
     sigma_m: float
-    """Standard deviation of that part's own error along the offset, which lasts."""
+    """Standard deviation of the lasting error of this part along the offset, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,34 +119,37 @@ class Registration:
     T_sensor_target: RigidTransform | None = None
     """The measured pose; None if the frame gives none, with the reason in the belief."""
     belief: Belief = field(default_factory=Belief)
-    """Belief in the pose; the navigator's decisions depend on it only."""
+    """Belief in the pose; the navigator decides by it alone."""
     cost_m2: float = float("nan")
     """f_CONV: mean squared residual of the inliers at convergence, m2."""
     inliers: int = 0
+    """Number of points that fit the model within their noise."""
     inlier_share: float = float("nan")
-    """Number of inliers over the number of points that could have matched."""
+    """Number of inliers divided by the number of points that could have matched."""
     explained_share: float = float("nan")
     """Share of agreeing rays among those where model or measurement show a surface (the self-check)."""
     log_likelihood: float = float("nan")
-    """Log likelihood of the frame at the pose, relative to anything that is the same for all poses and
-    targets; NaN for a method that has none."""
+    """Log likelihood of the frame at the pose, up to a constant that is the same for all poses and targets;
+    NaN for a method without a likelihood."""
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     """Covariance of (dp, dtheta), sensor's fixed axes, dtheta = Log(R_est R^T) (ICD section 1), (6, 6). About
-    a free axis of the target, angle and variance may be any; the navigator replaces both."""
+    a free axis of the target, the angle and its variance are arbitrary; the navigator replaces both."""
     parts: ErrorParts | None = None
-    """Its errors by how long they last; None for a method that does not tell."""
+    """Errors of the pose, separated by how long they last; None if the method does not separate them."""
     iterations: int = 0
+    """Number of iterations of the method."""
     angles: Mapping[str, Angle] = field(default_factory=dict)
     """Angles of the target's joints, by name."""
     misfit: Misfit | None = None
-    """Test of the target's model by the frame's residuals; None for a method that has none."""
+    """Test of the target's model by the frame's residuals; None if the method has no such test."""
     range_bias_m: float = 0.0
-    """Length by which all ranges of the frame are too long, as found with the pose; 0 where none is."""
+    """Length by which all ranges of the frame are too long, estimated with the pose; 0 if the method does not
+    estimate it."""
     other_sizes: Callable[[], tuple[OtherSize, ...]] = tuple
-    """Returns poses for other sizes of the target; none for a method that does not tell. They are computed at
-    the call, as an estimate does not wait for them."""
+    """Function that returns poses for other sizes of the target; it returns none if the method does not
+    compute them. They are computed at the call, so that the estimate does not wait for them."""
     by_part: PartSolution | None = None
-    """Position by a part of the data; None for a method that does not tell."""
+    """Position measured by a part of the data; None if the method does not compute it."""
 
     @classmethod
     def none(cls, source: Source, reason: str, *, iterations: int = 0) -> "Registration":
@@ -178,7 +185,7 @@ class Acquisition:
     templates: int = 0
     """Number of attitudes in the search."""
     excluded_share: float = 0.0
-    """Share of these attitudes that was left out before the comparison with the measurement."""
+    """Share of these attitudes that were excluded before the comparison with the measurement."""
 
     @property
     def belief(self) -> Belief:
@@ -225,18 +232,18 @@ class Candidates:
     templates: int = 0
     """Number of attitudes in the search."""
     excluded_share: float = 0.0
-    """Share of these attitudes that was left out before the comparison with the measurement."""
+    """Share of these attitudes that were excluded before the comparison with the measurement."""
 
 
 class Search(Protocol, Generic[MeasurementT_contra]):
     """Proposes poses for one measurement, for a tracker to refine and check."""
 
     def search(self, measurement: MeasurementT_contra) -> Candidates:
-        """Return candidates among all poses; the result is deterministic."""
+        """Return candidates for the pose without any prior knowledge. Deterministic."""
         ...
 
     def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Candidates:
-        """Return candidates around a pose that is too far off for the tracker; deterministic."""
+        """Return candidates near a pose that is too far off for the tracker. Deterministic."""
         ...
 
 
@@ -244,11 +251,14 @@ class Acquirer(Protocol, Generic[MeasurementT_contra]):
     """Finds the target in one measurement and verifies the pose."""
 
     def acquire(self, measurement: MeasurementT_contra) -> Acquisition:
-        """Search without any prior pose; never raises on data. Deterministic."""
+        """Return the result of a search without a prior pose; never raises on data. Deterministic."""
         ...
 
     def near(self, measurement: MeasurementT_contra, T_sensor_target: RigidTransform) -> Acquisition:
-        """Search around a pose that is too far off for the tracker; never raises on data. Deterministic."""
+        """Return the result of a search near a pose that is too far off for the tracker.
+
+        Never raises on data. Deterministic.
+        """
         ...
 
 
@@ -281,21 +291,21 @@ class ComparingTracker(Tracker[MeasurementT_contra], Protocol[MeasurementT_contr
         Args:
             measurement: the frame.
             found: the registrations.
-            ranked_only: whether only the order of the values counts, which takes less time.
+            ranked_only: whether only the order of the values is needed, which takes less time to compute.
         """
         ...
 
 
 @runtime_checkable
 class WholeFrameTracker(Protocol):
-    """A tracker that verifies the poses of a search, which has a part of a frame, in the whole frame."""
+    """A tracker that verifies poses in the whole frame after a search that used only a part of it."""
 
     def excluded(self, measurement: Any, T_sensor_target: RigidTransform) -> str:
-        """Return why no pose near one that a search found can be the target's; empty if one may be."""
+        """Return why no pose near this one can be that of the target; empty if one can be."""
         ...
 
     def again(self, measurement: Any, found: Registration) -> Registration:
-        """Return a registration of the same frame from its own pose."""
+        """Return the frame's registration, started from the pose of an earlier one."""
         ...
 
 
@@ -323,7 +333,7 @@ class Deskew(Protocol):
 
 
 class Likelihoods(Protocol):
-    """Weighs poses against each other in one frame, as the search weighs its hypotheses."""
+    """Compares poses in one frame by the same log likelihood by which the search weighs its hypotheses."""
 
     def __call__(self, frame: Any, found: Sequence[Registration], /) -> FloatArray:
         """Return the log likelihoods of a frame at registered poses, shape (N,), up to a constant."""
@@ -339,10 +349,10 @@ class Methods:
     deskew: Deskew | None = None
     """De-skewing, for a sensor whose frame is not measured all at once."""
     likelihoods: Likelihoods | None = None
-    """Log likelihoods of poses; without them no rivals are tracked from the sensor's frames."""
+    """Log likelihoods of poses; without them no rivals are tracked in the sensor's frames."""
     expecting: "Callable[[Mapping[str, Angle]], Methods] | None" = None
-    """Function that returns the methods where the angles of the target's joints are known before, by name;
-    None for a target without joints."""
+    """Function that returns the methods for expected angles of the target's joints, by name; None for a
+    target without joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,10 +366,10 @@ class Task:
     setup: Any = ()
     """Result of ``KindMethods.setup``."""
     tracker: Tracker[Any] | None = None
-    """The sensor's tracker, for the making of an acquirer."""
+    """The sensor's tracker, by which an acquirer refines and checks its candidates."""
 
     def with_tracker(self, tracker: Tracker[Any]) -> Self:
-        """Return the task of making the acquirer that goes with a tracker."""
+        """Return this task with the tracker that the acquirer is to use."""
         return replace(self, tracker=tracker)
 
 
@@ -382,8 +392,9 @@ class KindMethods:
     message (None before the first message); None if neither contains them. When these data change, new
     methods are created."""
     masked: Callable[[Any, Callable[[Any], Any]], Any] | None = None
-    """Function that returns a frame without the points for which a function of them, sensor axes, shape
-    (..., 3), is true. Without it, unreliable parts of a target are not ignored."""
+    """Function that removes points from a frame. It takes the frame and a second function, which gets the
+    points, sensor axes, shape (..., 3), and returns true for those to remove. Without it, unreliable parts of
+    a target are not ignored."""
     separation: Callable[[Any, Any], Any] | None = None
     """Function that returns the ``surroundings.frames.Frames`` of a sensor, from its configuration and
     setup. Without it, known surroundings are refused."""

@@ -1,9 +1,9 @@
-"""Parts of a target that give no evidence: flexible foil, an array whose angle is not known.
+"""Parts of a target that give no evidence: flexible foil, or an array whose angle is unknown.
 
-The methods know the target without these parts, so they expect no point, edge or pixel of them. Before that,
-the points of these parts are removed from the frame: those whose nearest surface, at a pose of the whole
-target, is one of these parts. This pose is the predicted one, or for a first pose that of a search with all
-parts. Where such a part hides another one, the rays that end on it count as rays without a return.
+The methods get the target without these parts, so they expect no point, edge or pixel of them. The points of
+these parts are removed from the frame first. These are the points whose nearest surface is one of these
+parts, at a pose of the whole target: the predicted pose, or for a first pose the result of a search with all
+parts. If such a part hides another one, the rays that end on it count as rays without a return.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,8 @@ from rpod_schemas.types import Float32Array
 from rpod_target import DistanceField, Target
 
 _REACH = 0.25
-"""Distance from such a part, over its longest side, up to which a point may be of it. Hand: turned by 15
-deg."""
+"""Largest distance of a point from such a part at which it may belong to it, over the part's longest side.
+Hand: the part is turned by 15 deg."""
 
 Masked = Callable[[Any, Callable[[Float32Array], NDArray[np.bool_]]], Any]
 """Function that returns a frame without its points, sensor axes, shape (..., 3), for which a function of them
@@ -28,7 +28,15 @@ is true."""
 
 
 class UnreliableParts:
-    """Finds the points of the unreliable parts of a target."""
+    """Finds the points of the unreliable parts of a target.
+
+    Args:
+        target: the whole target, with a distance field.
+        reliable: the target without these parts, with a distance field.
+
+    Raises:
+        rpod_target.TargetError: one of them has no distance field.
+    """
 
     def __init__(self, target: Target, reliable: Target) -> None:
         unreliable = ~np.isin(np.array(target.parts), reliable.parts)[target.triangle_part]
@@ -49,7 +57,7 @@ class UnreliableParts:
         return on_part
 
     def moved(self, first: RigidTransform, second: RigidTransform) -> bool:
-        """Return whether other points may be of these parts at another pose."""
+        """Return whether two poses are so far apart that other points may belong to these parts."""
         angle_rad, position_m = pose_error(first, second)
         farthest_m = np.linalg.norm(position_m) + self._radius_m * np.linalg.norm(angle_rad)
         return bool(farthest_m > self._margin_m)
@@ -71,7 +79,7 @@ def ignoring(methods: Methods, whole: Methods, parts: UnreliableParts, masked: M
         methods: methods of the target without these parts.
         whole: methods of the whole target.
         parts: the unreliable parts.
-        masked: function of the sensor kind that takes points out of a frame.
+        masked: function of the sensor kind that removes points from a frame.
     """
 
     def without(frame: Any, pose: RigidTransform) -> Any:
@@ -85,7 +93,7 @@ _Without = Callable[[Any, RigidTransform], Any]
 
 
 class _Tracker:
-    """Tracks without the points of these parts at the prediction, then at the pose that is found."""
+    """Tracks without the points of these parts, first at the prediction, then at the pose that was found."""
 
     def __init__(self, tracker: Tracker[Any], parts: UnreliableParts, without: _Without) -> None:
         self._tracker, self._parts, self._without = tracker, parts, without
@@ -99,7 +107,7 @@ class _Tracker:
 
 
 class _Acquirer:
-    """Searches without the points of these parts at the pose that a search with all parts finds."""
+    """Searches without the points of these parts, which a search with all parts locates."""
 
     def __init__(self, acquirer: Acquirer[Any], whole: Acquirer[Any], without: _Without) -> None:
         self._acquirer, self._whole, self._without = acquirer, whole, without

@@ -36,8 +36,8 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Return a kernel that only other kernels call; Python receives a ``TypeError``.
 
-    It takes less time to compile: what reads a record of forty arrays from Python takes longer to compile
-    than a short kernel itself.
+    It takes less time to compile: the code that reads a record of forty arrays from Python takes longer to
+    compile than a short kernel.
     """
     compiled: Any = _kept(_compiled(cache=True, no_cpython_wrapper=True)(function))
 
@@ -62,10 +62,10 @@ def reassociated_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a kernel whose statements are put into each kernel that calls it.
+    """Return a kernel whose statements are inserted into each kernel that calls it.
 
-    It is for what an inner loop calls with records of many arrays: a call counts a reference to each of them,
-    which takes longer than a few hundred additions.
+    It is for functions that an inner loop calls with records of many arrays: a call counts a reference to
+    each array, which takes longer than a few hundred additions.
     """
     compiled: Callable[P, R] = _kept(_compiled(cache=True, inline="always")(function))
     return compiled
@@ -74,8 +74,8 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
 def generic_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Return a kernel that is compiled into each kernel that calls it, and has no cache file of its own.
 
-    It is for kernels whose arguments are records of other modules: a cache file would not show that it is
-    old.
+    It is for kernels whose arguments are records of other modules: a cache file would not show that it is out
+    of date.
     """
     compiled: Callable[P, R] = _compiled()(function)
     return compiled
@@ -85,8 +85,8 @@ def _kept(compiled: Any) -> Any:
     """Return a kernel whose cache file is safe to read.
 
     It ignores a file that names a record that no longer exists: numba reads the types in a file before it
-    checks whether the file is old. One process at a time writes, and none reads meanwhile
-    (``one_at_a_time``). It is compiled once for a type, not once more for each number that a caller states.
+    checks whether the file is out of date. Only one process writes at a time, and none reads meanwhile
+    (``one_at_a_time``). The kernel is compiled once for a type, and not again for each literal number.
     """
     template = compiled.get_call_template
 
@@ -124,7 +124,7 @@ def one_at_a_time(file: Any) -> None:
     def locked(call: Callable[P, R], lock: int) -> Callable[P, R]:
         def waits(*args: P.args, **kwargs: P.kwargs) -> R:
             with ExitStack() as held:
-                # No folder yet, or one that is read-only: nobody of us writes there.
+                # There is no folder yet, or it is read-only: no process of this project writes there.
                 with suppress(OSError):
                     opened = held.enter_context(Path(file._cache_path, "kernels.lock").open("a"))
                     flock(opened, lock)

@@ -27,9 +27,9 @@ def distort(slopes: FloatArray, camera: Camera) -> FloatArray:
 
 
 def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
-    """Return the slopes x/z, y/z, shape (2, ...), that the lens images at ``distorted``.
+    """Return the slopes x/z, y/z, shape (2, ...), that the lens projects to ``distorted``, same shape.
 
-    They are found by Newton's method, since the usual fixed-point iteration fails on strong distortion.
+    They are computed by Newton's method, since the usual fixed-point iteration fails on strong distortion.
 
     Raises:
         DistortionError: the distortion folds the image over itself there.
@@ -48,7 +48,7 @@ def undistort(distorted: FloatArray, camera: Camera) -> FloatArray:
 
 
 def ray_cosines(camera: Camera) -> FloatArray:
-    """Return z-depth over radial distance of every pixel, shape (height, width).
+    """Return z-depth divided by radial distance for each pixel, shape (height, width).
 
     Raises:
         DistortionError: the distortion folds the image over itself.

@@ -1,8 +1,8 @@
-"""Lines of a grid of rays, its columns or its rows, looked up by their slopes x/z or y/z.
+"""Look-up of the lines of a grid of rays, its columns or its rows, by their slopes x/z or y/z.
 
-A binary search for each side of each triangle would take longer than the triangle's rays. A table of evenly
-spaced slopes tells about where to look. A grid whose slopes have no bounds, since a ray looks sideways or
-back, has a table with one entry only, from which all lines are looked at.
+A binary search for each side of each triangle would take longer than casting the triangle's rays. A table of
+evenly spaced slopes gives the approximate place of a line. If a ray points sideways or backwards, the slopes
+have no bounds. Then the table has only one entry, and all lines are searched.
 """
 
 from typing import NamedTuple
@@ -18,29 +18,29 @@ PER_LINE = 4
 
 
 class Lines(NamedTuple):
-    """Columns or rows of a grid, made by ``lines_of``."""
+    """Columns or rows of a grid, created by ``lines_of``."""
 
     lower: FloatArray
     """Lower bound of the slopes of this and all following lines, shape (lines,)."""
     upper: FloatArray
     """Upper bound of the slopes of this and all previous lines, shape (lines,)."""
     first: NDArray[np.int32]
-    """Lines before this one have slopes below those of the entry, shape (entries,)."""
+    """First line whose slopes may be in the entry or above, for each entry of the table, shape (entries,)."""
     last: NDArray[np.int32]
-    """Lines from this one on have slopes above those of the entry, same shape."""
+    """First line whose slopes are above the entry, for each entry of the table, shape (entries,)."""
     start: float
     """Slope at which the table begins."""
     per_slope: float
-    """Number of entries for a unit of slope; 0 without bounds."""
+    """Number of entries for a unit of slope; 0 if the slopes have no bounds."""
     reach: float
-    """Greatest absolute slope; inf without bounds."""
+    """Largest absolute slope; inf if the slopes have no bounds."""
 
 
 @inner_kernel
 def lines_of(lower: FloatArray, upper: FloatArray) -> Lines:
     """Return the lines with the given bounds of their slopes, as in ``Lines``, shape (lines,) each.
 
-    Each entry has the width of one more on both sides, so that rounding does no harm.
+    Each entry also covers its neighbours, so that rounding does no harm.
     """
     count = lower.size
     start, width = 0.0, upper[count - 1] - lower[0] if count else 0.0
@@ -71,7 +71,7 @@ def entry_of(lines: Lines, slope: float) -> int:
 
 @inlined_kernel
 def first_line(lines: Lines, least: float) -> int:
-    """Return the first line that may have a slope of ``least`` or more; their number if none has."""
+    """Return the first line that may have a slope of ``least`` or more; the number of lines if none has."""
     line = int(lines.first[entry_of(lines, least)])
     while line < lines.upper.size and lines.upper[line] < least:
         line += 1
@@ -89,7 +89,7 @@ def end_line(lines: Lines, most: float) -> int:
 
 @inlined_kernel
 def slopes_of(corner: FloatArray, axis: int) -> tuple[float, float]:
-    """Return the least and the greatest slope of the part of a triangle that is ahead of the sensor.
+    """Return the least and the largest slope of the part of a triangle that is in front of the sensor.
 
     Args:
         corner: corners of the triangle, sensor axes, shape (3, 3), m.
@@ -106,7 +106,7 @@ def slopes_of(corner: FloatArray, axis: int) -> tuple[float, float]:
 
 @inner_kernel
 def _slopes_in_part(corner: FloatArray, axis: int) -> tuple[float, float]:
-    """Return the slopes of a triangle that may be behind the sensor in part.
+    """Return the slopes of ``slopes_of`` for a triangle that may be partly behind the sensor.
 
     Args:
         corner: corners of the triangle, sensor axes, shape (3, 3), m.
@@ -122,12 +122,11 @@ def _slopes_in_part(corner: FloatArray, axis: int) -> tuple[float, float]:
 
 @kernel
 def slopes_ahead(a: float, a_z: float, b: float, b_z: float) -> tuple[float, float]:
-    """Return the least and the greatest slope x/z, or y/z, of the part of a line that is ahead of the sensor.
+    """Return the least and largest slope x/z, or y/z, of the part of a line that is in front of the sensor.
 
-    A line that passes the plane z = 0 at x > 0 has slopes up to infinity ahead of it, and at x < 0 down to
-    minus infinity. Those of a triangle are between those of its sides. The result is inf, -inf for a line
-    that is behind the sensor: then only rays of lines that look backwards meet it, whose slopes are
-    unbounded.
+    If a line crosses the plane z = 0 at x > 0, its slopes in front of it extend to infinity, at x < 0 to
+    minus infinity. The slopes of a triangle are between those of its sides. The result is inf, -inf for a
+    line behind the sensor: only rays that point backwards can meet it, and their slopes have no bounds.
 
     Args:
         a: x or y of one end, m.

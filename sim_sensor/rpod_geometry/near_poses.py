@@ -1,11 +1,11 @@
-"""Casts a grid's rays at a mesh at many poses near one another, in a fraction of the time of ``ray_tree``.
+"""Casting of a grid's rays at a mesh at many poses near each other, much faster than with ``ray_tree``.
 
-At poses that differ by a shift u and a turn q, a point p of the target lies at most |u| + q |p| from its
-place at the pose in their middle, in the axes of the target, if |p| is its distance from the target's origin.
-A ray can therefore meet a triangle at one of these poses only if, at the pose in the middle, it passes the
-box of the triangle widened by this length. A triangle that is seen from behind by more than q is met at none
-of them. What is left is listed once for each ray. Most rays beside a target have an empty list, and the
-others a few triangles, in the order in which the ray can reach them.
+Let the poses differ from a middle pose by at most a shift u and a turn q. Then a point p of the target, at
+the distance |p| from its origin, is displaced by at most |u| + q |p| in target axes. So a ray can meet a
+triangle at one of these poses only if, at the middle pose, it passes the triangle's box widened by this
+length. A triangle that is seen from behind by more than q is met at none of them. The remaining triangles are
+listed once for each ray. Most rays beside a target have an empty list; the others have a few triangles, in
+the order in which the ray can reach them.
 """
 
 from typing import NamedTuple
@@ -20,44 +20,44 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Float32Array
 
 ROUNDING = 1e-6
-"""Share of its size by which a box is wider than necessary, against rounding."""
+"""Share of its size by which a box is widened, because of rounding."""
 
 
 class NearPoses(NamedTuple):
-    """Poses near one in the middle."""
+    """Poses near a middle pose."""
 
     R: FloatArray
-    """R_sensor_target in the middle, shape (3, 3)."""
+    """R_sensor_target of the middle pose, shape (3, 3)."""
     t: FloatArray
-    """Position of the target in the sensor in the middle, shape (3,), m."""
+    """Position of the target at the middle pose, sensor axes, shape (3,), m."""
     apart_m: float
-    """Greatest distance of a pose's position from it."""
+    """Largest distance of a pose's position from that of the middle pose."""
     turn_rad: float
-    """Greatest angle between a pose's attitude and it."""
+    """Largest angle between a pose's attitude and that of the middle pose."""
 
 
 class NearTriangles(NamedTuple):
-    """Triangles that each ray of a grid may meet at poses near one another."""
+    """Triangles that each ray of a grid may meet at poses near each other."""
 
     poses: NearPoses
     first: NDArray[np.int64]
-    """Place of each ray's first triangle in the lists, one more for their end, shape (rays + 1,)."""
+    """Index of each ray's first entry in the lists, and the end of the lists, shape (rays + 1,)."""
     place: NDArray[np.int32]
-    """Index of each triangle in the tree's order, shape (N,)."""
+    """Index of each listed triangle in the tree's order, shape (N,)."""
     entry_m: FloatArray
     """Range before which the ray cannot meet the triangle, ascending for each ray, shape (N,)."""
 
 
 @kernel
 def is_near(poses: NearPoses, R: FloatArray, t: FloatArray) -> bool:
-    """Return whether a pose R (3, 3), t (3,) of the target in the sensor is one of those near one another."""
+    """Return whether a pose R (3, 3), t (3,) of the target in the sensor is among the near ones."""
     apart_m, turn_rad = apart(poses.R, poses.t, R, t)
     return apart_m <= poses.apart_m and turn_rad <= poses.turn_rad
 
 
 @kernel
 def no_triangles(R: FloatArray, t: FloatArray) -> NearTriangles:
-    """Return lists that hold for no pose, from a pose R (3, 3), t (3,) of the target in the sensor."""
+    """Return empty lists, which are valid for no pose; R (3, 3) and t (3,) are only stored."""
     poses = NearPoses(R, t, -1.0, -1.0)
     return NearTriangles(poses, np.zeros(1, np.int64), np.empty(0, np.int32), np.empty(0))
 
@@ -82,7 +82,7 @@ def apart(R: FloatArray, t: FloatArray, other_R: FloatArray, other_t: FloatArray
 
 @kernel
 def near_triangles(grid: GridArrays, tree: RayTree, poses: NearPoses) -> NearTriangles:
-    """Return the triangles that each ray of a grid may meet at poses near one another."""
+    """Return the triangles that each ray of a grid may meet at poses near each other."""
     rays, R = grid.components, poses.R
     height, width = rays.shape[1], rays.shape[2]
     first = np.zeros(height * width + 1, np.int64)
@@ -122,7 +122,7 @@ class _Lists(NamedTuple):
 
 @inlined_kernel
 def _grown(lists: _Lists, number: int) -> _Lists:
-    """Return lists with room for one triangle more than a number of them."""
+    """Return lists with space for at least one triangle more than ``number``."""
     if number < lists.place.size:
         return lists
     return _Lists(
@@ -151,7 +151,7 @@ def cast_near(  # noqa: PLR0917
     range_m: Float32Array,
     triangle: NDArray[np.int32],
 ) -> None:
-    """Fill ``range_m`` and ``triangle`` like ``ray_tree.cast_tree``, at one of the poses near one another.
+    """Fill ``range_m`` and ``triangle`` like ``ray_tree.cast_tree``, at one of the near poses.
 
     Args:
         grid: ``RayGrid.arrays``.
@@ -190,7 +190,7 @@ def _origin(R: FloatArray, t: FloatArray) -> FloatArray:
 
 @inner_kernel
 def _widths(tree: RayTree, poses: NearPoses) -> FloatArray:
-    """Return by how much the poses move what is in each node's box at most, shape (nodes,), m."""
+    """Return the largest displacement by the poses of a point in each node's box, shape (nodes,), m."""
     wide_m = np.empty(tree.held.size)
     for node in range(wide_m.size):
         size2 = 0.0
@@ -202,13 +202,13 @@ def _widths(tree: RayTree, poses: NearPoses) -> FloatArray:
 
 @inlined_kernel
 def _triangle_entry(sides: FloatArray, wide_m: float, ray: Ray, turn_rad: float) -> float:
-    """Return the range before which a ray does not meet a triangle, m; inf if it does at none of the poses.
+    """Return the least range at which a ray may meet a triangle, m; inf if it does at none of the poses.
 
     Args:
         sides: first corner and two sides from it, shape (3, 3), m.
-        wide_m: by how much the poses move the triangle at most.
-        ray: the ray at the pose in the middle.
-        turn_rad: greatest turn.
+        wide_m: largest displacement of the triangle by the poses.
+        ray: the ray at the middle pose.
+        turn_rad: largest turn.
     """
     if _from_behind(sides, ray, turn_rad):
         return np.inf
@@ -236,12 +236,12 @@ def _normal(sides: FloatArray) -> tuple[float, float, float]:
 
 @inlined_kernel
 def _from_behind(sides: FloatArray, ray: Ray, turn_rad: float) -> bool:
-    """Return whether a ray sees a triangle from behind, also if the target is turned.
+    """Return whether a ray sees a triangle from behind at all of the poses.
 
     Args:
         sides: first corner and two sides from it, shape (3, 3), m.
-        ray: the ray.
-        turn_rad: greatest turn.
+        ray: the ray at the middle pose.
+        turn_rad: largest turn.
     """
     x, y, z = _normal(sides)
     along = x * ray.x + y * ray.y + z * ray.z
@@ -252,14 +252,15 @@ def _from_behind(sides: FloatArray, ray: Ray, turn_rad: float) -> bool:
 def _beside(sides: FloatArray, wide_m: float, ray: Ray, entry_m: float) -> bool:
     """Return whether a ray passes a triangle at all of the poses.
 
-    The plane of the sensor and one side of the triangle has the whole triangle on one side. Beyond a range s,
-    a ray on the other side is at least s times the sine of its angle to the plane from the triangle.
+    The whole triangle is on one side of the plane through the sensor and one side of the triangle. If a ray
+    is on the other side, its distance from the triangle beyond a range s is at least s times the sine of its
+    angle to the plane.
 
     Args:
         sides: first corner and two sides from it, shape (3, 3), m.
-        wide_m: by how much the poses move the triangle at most.
-        ray: the ray at the pose in the middle.
-        entry_m: range before which it does not.
+        wide_m: largest displacement of the triangle by the poses.
+        ray: the ray at the middle pose.
+        entry_m: least range at which the ray may meet the triangle.
     """
     ox, oy, oz = sides[0, 0] - ray.from_x, sides[0, 1] - ray.from_y, sides[0, 2] - ray.from_z
     nx, ny, nz = _normal(sides)
@@ -281,12 +282,12 @@ def _beside(sides: FloatArray, wide_m: float, ray: Ray, entry_m: float) -> bool:
 
 @inlined_kernel
 def _entry(box: Array, wide: float, ray: Ray) -> float:
-    """Return the range before which a ray does not meet what is in a box, m; inf if it never does.
+    """Return the least range at which a ray may meet the content of a box, m; inf if it never does.
 
     Args:
         box: least and greatest corner, target axes, shape (6,), m.
-        wide: by how much the poses move it at most, m.
-        ray: the ray at the pose in the middle.
+        wide: largest displacement of the content by the poses, m.
+        ray: the ray at the middle pose.
     """
     ax, bx = (box[0] - wide - ray.from_x) * ray.per_x, (box[3] + wide - ray.from_x) * ray.per_x
     ay, by = (box[1] - wide - ray.from_y) * ray.per_y, (box[4] + wide - ray.from_y) * ray.per_y

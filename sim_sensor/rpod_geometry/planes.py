@@ -34,7 +34,7 @@ def largest_plane(
 
     Args:
         points_m: the points, shape (N, 3).
-        within_m: greatest distance of a point that is near.
+        within_m: largest distance of a point that is near.
         draws: number of planes that are tried.
         generator: draws the three points of each.
 

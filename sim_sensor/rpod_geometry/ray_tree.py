@@ -1,10 +1,10 @@
-"""Casts single rays at a mesh through a tree of boxes, in a time that hardly depends on the mesh's size.
+"""Casting of single rays at a mesh through a tree of boxes, in a time that hardly depends on the mesh's size.
 
-``rays`` looks at all triangles for each image. That is fastest for cameras, which have more rays than a
-target has triangles. A scanning LIDAR has a few hundred rays on the target. For these, and for rays between
-those of a grid, a binary tree of axis-aligned boxes is faster. It is split by the surface area heuristic (I.
-Wald, On fast Construction of SAH-based Bounding Volume Hierarchies, IEEE Symposium on Interactive Ray
-Tracing, 2007). Triangles are met as by T. Moeller and B. Trumbore (Fast, Minimum Storage Ray-Triangle
+``rays`` tests all triangles for each image. This is fastest for cameras, which have more rays than a target
+has triangles. A scanning LIDAR has a few hundred rays on the target. For these, and for rays between those of
+a grid, a binary tree of axis-aligned boxes is faster. It is split by the surface area heuristic (I. Wald, On
+fast Construction of SAH-based Bounding Volume Hierarchies, IEEE Symposium on Interactive Ray Tracing, 2007).
+Triangles are intersected by the method of T. Moeller and B. Trumbore (Fast, Minimum Storage Ray-Triangle
 Intersection, Journal of Graphics Tools 2(1), 1997).
 """
 
@@ -29,7 +29,7 @@ BESIDE = 1e-7
 
 
 class RayTree(NamedTuple):
-    """A mesh in a tree of boxes, as the kernels take it."""
+    """A mesh in a tree of boxes, in the form that the kernels take."""
 
     boxes_m: Float32Array
     """Least and greatest corner of each node's box, target axes, shape (nodes, 6)."""
@@ -44,7 +44,7 @@ class RayTree(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A ray in target axes, made by ``ray``; it holds only numbers, which a processor keeps in registers."""
+    """A ray in target axes, created by ``ray``. Its numbers stay in the registers of a processor."""
 
     from_x: float
     from_y: float
@@ -57,7 +57,7 @@ class Ray(NamedTuple):
     per_x: float
     per_y: float
     per_z: float
-    """One over these."""
+    """Inverse components of its unit direction."""
 
 
 class Waiting(NamedTuple):
@@ -155,7 +155,7 @@ def _fill_box(box: Float32Array, low: FloatArray, high: FloatArray, chosen: NDAr
     Args:
         box: output, m.
         low: least coordinates of the triangles, shape (T, 3), m.
-        high: greatest coordinates, shape (T, 3), m.
+        high: largest coordinates, shape (T, 3), m.
         chosen: indices of triangles, shape (N,).
     """
     for k in range(3):
@@ -168,7 +168,7 @@ def _fill_box(box: Float32Array, low: FloatArray, high: FloatArray, chosen: NDAr
 
 @inner_kernel
 def _split(low: FloatArray, high: FloatArray, chosen: NDArray[np.int32]) -> _Split:
-    """Return the plane by which the chosen triangles cost a ray least; arguments as for ``_fill_box``."""
+    """Return the plane with the least cost for a ray; arguments as for ``_fill_box``."""
     best, axis, place = np.inf, -1, 0.0
     counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
     for k in range(3):

@@ -296,8 +296,8 @@ def _fill_half_planes(side: Array, across: float, down: float, half_planes: Floa
 
     Args:
         side: as filled by ``_sides``, shape (3, 3).
-        across: greatest absolute slope of the columns.
-        down: greatest absolute slope of the rows.
+        across: largest absolute slope of the columns.
+        down: largest absolute slope of the rows.
         half_planes: output, shape (3, 4).
     """
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Things that a sensor sees beside the target: rays meet them, and the truth does not know them."""
+"""Things that a sensor sees besides the target: rays meet them, but the truth does not contain them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class MeshOfSurroundingsError(SimSensorError):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """The target with the things that move with it, and the things that stand still before the sensor."""
+    """The target with the things that are fixed to it, and the things that are fixed to the sensor."""
 
     moving: Target
     """The target; its surface includes the things that are fixed to it."""
@@ -84,7 +84,7 @@ def scenery(target: Target, things: Sequence[Thing], T_chaser_sensor: RigidTrans
 
 
 def _surface_m(thing: Thing) -> FloatArray:
-    """Return the triangles of a thing, its own axes, shape (T, 3, 3)."""
+    """Return the triangles of a thing in its own axes, shape (T, 3, 3), m."""
     if isinstance(thing, BoxThing):
         return box_surface(
             BoxParameters(name="thing", material="", shape="box", size_m=thing.size_m)

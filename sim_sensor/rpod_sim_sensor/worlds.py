@@ -1,6 +1,6 @@
 """Worlds: variants in which the target and the sensors differ from their documented physics.
 
-An estimator is never told in which world it is: a world changes how the emulator treats the light, but
+An estimator does not know in which world it is: a world changes how the emulator treats the light, but
 neither the sensor's info messages (``LidarInfo``, ``PmdInfo``) nor the target file. If an estimator works
 only in the documented world, it is fitted to the emulator, not to the sensor.
 
@@ -25,7 +25,7 @@ from rpod_sim_sensor.errors import SimSensorError
 from rpod_target import Material, Target
 
 _FULLEST = 0.95
-"""Greatest share of the light that a surface reflects."""
+"""Largest share of the light that a surface reflects."""
 
 
 class UnknownWorldError(SimSensorError):
@@ -137,14 +137,14 @@ class World(Config):
         return replace(target, materials=tuple(made(material) for material in target.materials))
 
     def camera_config(self, config: PmdConfig) -> PmdConfig:
-        """Return the configuration of the camera that makes the frames; its info message may differ."""
+        """Return the camera's configuration in this world; its info message states the documented one."""
         if self.camera.stray_scale == 1.0:
             return config
         stray_share = min(1.0, self.camera.stray_scale * config.lens.stray_share)
         return config.model_copy(update={"lens": config.lens.model_copy(update={"stray_share": stray_share})})
 
     def lidar_config(self, config: LidarConfig) -> LidarConfig:
-        """Return the configuration of the LIDAR that makes the scans; its info message may differ."""
+        """Return the LIDAR's configuration in this world; its info message states the documented one."""
         mine, changes = self.lidar, dict[str, Config]()
         if mine.power_scale != 1.0:
             power_W = mine.power_scale * config.transmitter.average_power_W

@@ -18,10 +18,10 @@ from rpod_schemas.arrays import FloatArray
 FREE_SIGMA_RAD = pi / sqrt(3.0)
 """Standard deviation of an angle that is uniform over a turn: 104 deg."""
 _SAME = 0.02
-"""Greatest difference between the components of two turns, or directions, that count as equal; files round
+"""Largest difference between the components of two turns, or directions, that count as equal; files round
 axes."""
 _MOST = 60
-"""Greatest number of turns: the largest finite group without an axis of a high order, an icosahedron's."""
+"""Largest number of turns: the largest finite group without an axis of a high order, an icosahedron's."""
 _ROUND = 24
 """Least order of an exact symmetry that counts as continuous: a polygon of so many sides is within 0.9 % of a
 circle's radius, and all that can be known is the angle within 15 deg."""

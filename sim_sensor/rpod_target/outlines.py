@@ -18,13 +18,13 @@ from rpod_target.target import Target
 ROUND_CORNERS = 12
 """Least number of corners, equally far from their mean, of an outline that is a circle."""
 _FLAT_RAD = np.deg2rad(1.0)
-"""Greatest angle between the normals of neighbouring triangles of one face."""
+"""Largest angle between the normals of neighbouring triangles of one face."""
 _CREASE_RAD = np.deg2rad(30.0)
 """Least angle between a face and its neighbours: a facet of a curved surface has no visible outline."""
 _STRAIGHT = 1e-6
 """Least sine of the turn of an outline at a corner."""
 _OUT_OF_ROUND = 1e-3
-"""Greatest difference in the distances of a circle's corners from its centre, as a share."""
+"""Largest difference in the distances of a circle's corners from its centre, as a share."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,7 +142,7 @@ class MeshParameters(_PartParameters):
     file_materials: dict[str, str] = Field(default_factory=dict)
     """Material of this file by the name of the material in the mesh file; others have ``material``."""
     largest_error_m: Positive | None = None
-    """Largest distance between the file's surface and the triangles that stand for it, where the file has
+    """Largest distance between the file's surface and the triangles that replace it, where the file has
     more than 20,000; by default a thousandth of the part's longest side."""
     longest_side_m: Positive | None = None
     """Length to which the longest side of the file's bounding box is scaled."""
@@ -194,13 +194,13 @@ class JointParameters(Config):
     limits_deg: tuple[float, float]
     """Least and greatest angle."""
     most_rate_deg_s: Positive = 1.0
-    """Greatest rate, deg/s."""
+    """Largest rate, deg/s."""
 
     @field_validator("axis")
     @classmethod
     def _has_a_direction(cls, axis: FloatArray) -> FloatArray:
         if not np.linalg.norm(axis) > 0.0:
-            raise ValueError("must not be zero")
+            raise ValueError(f"is {axis.tolist()}, must not be zero: give a direction, of any length")
         return axis
 
     @field_validator("limits_deg")
@@ -294,13 +294,16 @@ class TargetParameters(Config):
         if inertia is None:
             return None
         if not np.allclose(inertia, inertia.T):
-            raise ValueError("is not symmetric")
+            raise ValueError("is not symmetric; correct the elements off the diagonal")
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] <= 0.0:
-            raise ValueError("is not positive definite")
+            raise ValueError(
+                f"is not positive definite: least principal moment {moments[0]:.4g} kg m2; correct it"
+            )
         if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
             raise ValueError(
-                "breaks the triangle inequality: one principal moment exceeds the sum of the others"
+                f"breaks the triangle inequality: one principal moment, {moments[2]:.4g} kg m2, exceeds the "
+                f"sum of the others, {moments[0] + moments[1]:.4g} kg m2; correct them"
             )
         return inertia
 
@@ -310,7 +313,7 @@ class TargetParameters(Config):
         names = [part.name for part in parts]
         repeated = [name for index, name in enumerate(names) if name in names[:index]]
         if repeated:
-            raise ValueError(f"two parts are named {repeated[0]!r}")
+            raise ValueError(f"two parts are named {repeated[0]!r}; give each its own name")
         return parts
 
     @model_serializer(mode="wrap")
@@ -334,11 +337,12 @@ class TargetParameters(Config):
     def _joints_have_parts(self) -> Self:
         used = {part.joint for part in self.parts} - {None}
         if unknown := sorted(str(name) for name in used - set(self.joints)):
-            raise ValueError(f"parts name joints that are not among joints: {', '.join(unknown)}")
+            known = ", ".join(self.joints) or "none"
+            raise ValueError(f"parts name unknown joints: {', '.join(unknown)}; joints has {known}")
         if unused := sorted(set(self.joints) - used):
-            raise ValueError(f"no part names these joints: {', '.join(unused)}")
+            raise ValueError(f"no part names these joints: {', '.join(unused)}; remove them, or name them")
         if all(part.joint for part in self.parts):
-            raise ValueError("every part names a joint; one that is fixed is needed")
+            raise ValueError("every part names a joint; at least one part without a joint is needed")
         return self
 
 

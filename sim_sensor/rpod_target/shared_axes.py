@@ -1,4 +1,4 @@
-"""Check that a model has the axes of the target that it stands for; otherwise errors have no meaning."""
+"""Check that a model of a target has the target's axes; otherwise errors of poses have no meaning."""
 
 from itertools import permutations, product
 

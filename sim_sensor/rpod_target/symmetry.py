@@ -23,26 +23,27 @@ _HIGH_ORDERS = (*range(64, 12, -1), 11)
 TURNS = (0.137, 0.291, 0.389)
 """Shares of a full turn, of no low order, that a body of revolution does not show."""
 _EXACT, _NEAR = 1e-3, 2e-2
-"""Largest distance, over the target's size, of a turned place from the surface: for an exact symmetry, the
-largest error of a simplified mesh; for a place that agrees nearly."""
+"""Largest distance, over the target's size, of a turned place from the surface: for an exact symmetry, where
+it is the largest error of a simplified mesh, and for a place that agrees nearly."""
 _SURELY_NOT_EXACT = 2.0 * _EXACT
 """Largest distance of a few turned places from the surface above which a turn is not exact."""
 _SAME = 1e-4
-"""Greatest difference of the largest distances, over the size, of two orders that are equally exact."""
+"""Largest difference of the largest distances, over the size, of two orders that are equally exact."""
 _NEAR_SHARE = 0.6
-"""Least share of the places that agree nearly, for a turn that is worth a sensor's look."""
+"""Least share of the places that agree nearly, for a turn at which sensors' views are compared."""
 _ALIKE = 0.02
 """Difference of two shares of 1200 places that is within two standard deviations."""
 _MOST_NEAR = 12
-"""Greatest number of near symmetries, the nearest."""
+"""Largest number of near symmetries, the nearest."""
 _SAME_FACE = 0.9
 """Least cosine between the normals of a turned place and of the surface there."""
 _FEW = 150
-"""Number of places that are compared first: with fewer than ``_SOME`` of them alike, no others are."""
+"""Number of places that are compared first. If a smaller share than ``_SOME`` of them agrees, no others are
+compared."""
 _SOME = 0.4
 """Five standard deviations of the share of 150 places below ``_NEAR_SHARE``."""
 _REVOLUTION = 12
-"""Order that stands for a body of revolution."""
+"""Order that a target's file states for a body of revolution, of which every order is a symmetry."""
 _MOST_NORMALS = 14
 _SAME_AXIS, _SAME_NEAR_AXIS = np.cos(np.deg2rad((2.0, 15.0)))
 """Cosine of the angle below which two axes are one: of candidates, and of near symmetries of one order."""
@@ -140,8 +141,8 @@ class _Matcher:
     def errors(self, axis: FloatArray, turn: float, *, above: float = 0.0) -> tuple[float, float]:
         """Return the largest distance, over the size, and the share of places that agree nearly.
 
-        The distance is inf where few places agree. With a share of 1 or more that has to be exceeded, only an
-        exact turn matters, so that any other one is told by a few places.
+        The distance is inf where few places agree. With ``above`` of 1 or more, only an exact turn matters;
+        a few places are then enough to exclude any other one.
         """
         worst, share = self._errors(axis, turn, self._few)
         if share < _SOME or (above >= 1.0 and worst > _SURELY_NOT_EXACT):
@@ -177,7 +178,7 @@ class _Matcher:
         return worst, float(agrees.mean())
 
     def _closest(self, points_m: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray, Array]:
-        """Return distance over size, cosine and material of the surface nearest to places facing alike."""
+        """Return distance over size, cosine and material of the nearest surface that faces the same way."""
         lifted = points_m + 0.5 * _NEAR * self.size_m * normals  # prefers the surface that faces the same way
         found = self._scene.compute_closest_points(as_tensor(lifted))
         triangle = found["primitive_ids"].numpy().astype(np.int64)

@@ -80,7 +80,7 @@ class Joint:
     limits_rad: tuple[float, float]
     """Least and greatest angle; at 0 the parts are where the target's file places them."""
     rate_rad_s: float
-    """Greatest rate."""
+    """Largest rate."""
     moving: "Target"
     """The parts alone, at the angle 0."""
 
@@ -152,7 +152,7 @@ class Target:
     fixed: "Target | None" = None
     """The target without the parts of its joints; None if there are none."""
     content: str = ""
-    """SHA-256 of the arrays that were built or read from the cache; ``digest`` tells what they should be."""
+    """SHA-256 of the arrays that were built or read from the cache; ``digest`` states what they should be."""
 
     def require_field(self) -> DistanceField:
         """Return the distance field.

@@ -161,5 +161,5 @@ def _file(names: Mapping[str, Any]) -> list[str]:
 
 @cache
 def _digest(file: str, modified_ns: int, size: int) -> str:
-    del modified_ns, size  # they only tell one state of the file from another
+    del modified_ns, size  # they only distinguish one state of the file from another
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()

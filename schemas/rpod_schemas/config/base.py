@@ -206,22 +206,22 @@ def _place(location: Sequence[int | str]) -> str:
 
 def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str:
     """Return why a field is refused, with its value and the remedy."""
-    reason, value, told = problem["msg"], problem["input"], problem.get("ctx", {})
+    reason, value, given = problem["msg"], problem["input"], problem.get("ctx", {})
     _, should, needs = reason.partition(" should ")
     if problem["type"] == _UNKNOWN:
         reason = _unknown(model, document, problem["loc"])
     elif problem["type"] == "missing":
         reason = "is missing; this field has no default"
     elif problem["type"] == "union_tag_not_found":
-        reason = f"{told['discriminator']} is missing; it tells what kind this is"
+        reason = f"{given['discriminator']} is missing; it states what kind this is"
     elif problem["type"] == "union_tag_invalid":
-        reason = f"{told['discriminator']} is {told['tag']!r}; it must be one of {told['expected_tags']}"
+        reason = f"{given['discriminator']} is {given['tag']!r}; it must be one of {given['expected_tags']}"
     elif problem["type"] == "string_pattern_mismatch":
-        reason = f"is {value!r}; {_PATTERNS.get(told.get('pattern', ''), reason)}"
+        reason = f"is {value!r}; {_PATTERNS.get(given.get('pattern', ''), reason)}"
     elif problem["type"] in _FORMS:
         reason = f"is {reprlib.repr(value)}; it must be {_FORMS[problem['type']]}"
     elif problem["type"] == "too_short":
-        reason = f"has {told['actual_length']} items; it needs {told['min_length']} at least"
+        reason = f"has {given['actual_length']} items; it needs {given['min_length']} at least"
     elif should:
         reason = f"is {reprlib.repr(value)}; it must {needs}"
     return reason.removeprefix("Value error, ")
@@ -245,7 +245,7 @@ def _fields(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
     models = [model]
     for part in location:
         holders = [each for each in models if part in each.model_fields]
-        if holders:  # otherwise an index of a list, or a kind that tells the models of a union apart
+        if holders:  # otherwise an index of a list, or a kind that chooses among the models of a union
             annotations = [each.model_fields[str(part)].annotation for each in holders]
             models = [found for annotation in annotations for found in _models(annotation)]
     return [name for each in models for name in each.model_fields]

@@ -76,8 +76,8 @@ class LockstepConfig(Config):
     """Name of the logger, whose count of received messages is awaited; no logger if null."""
     timeout_s: Positive = 600.0
     """Longest wait for a service, s; after it the run ends with an error that names the service. A search
-    without a guess takes minutes on a loaded machine. The supervisor tells at once of a service that has
-    ended."""
+    without a guess takes minutes on a loaded machine. The supervisor reports a service that has ended at
+    once."""
 
 
 class MotionServiceConfig(ServiceConfig):

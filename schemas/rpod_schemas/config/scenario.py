@@ -56,14 +56,14 @@ class Scenario(Config):
     sensors: tuple[SensorConfig, ...] = Field(min_length=1)
     """Sensors to emulate."""
     world: WorldName = "documented"
-    """Variant of the emulated sensors' physics; the estimator is not told."""
+    """Variant of the emulated sensors' physics; the estimator does not know it."""
     surroundings: tuple[Thing, ...] = ()
     """Things that the sensors see beside the target: walls, a stand, an arm; the truth stays the target's."""
     publish_samples: bool = False
     """Whether to publish the PMD cameras' raw samples as well, about 70 MB/s at 45 Hz."""
     faults: tuple[PlannedFault, ...] = ()
     """Faults of sensors, links, processes and the logger's disk, at times of the scenario, by their names in
-    the catalogue; the estimator is not told."""
+    the catalogue; the estimator does not know of them."""
     link: Link = LinkConfig()
     """Tuning of all links to the router: ``fast``, ``slow``, or field by field."""
     estimator: ScenarioEstimator

@@ -45,14 +45,14 @@ class SourceConfig(Config):
     """Duration of an exposure or scan, s. Set it where ``stamp`` is ``start`` or ``end``; stamps are moved by
     half of it."""
     clock_offset_s: float = Field(default=0.0, ge=-_LATEST_S, le=_LATEST_S, allow_inf_nan=False)
-    """Length by which the sensor's clock is ahead, s; it is subtracted from the stamps. 37 for a clock that
+    """Time by which the sensor's clock is ahead, s; it is subtracted from the stamps. 37 for a clock that
     keeps TAI."""
     arrives_within_s: Positive = 0.1
     """Time from the end of an exposure or scan within which its frame arrives: read-out, driver and link
     together, s. Where all frames take longer, the estimator says that stamps may be early. Raise it for a
     driver that is known to be slow."""
     pair_within_s: _Span = 0.001
-    """Greatest difference between the stamps of a frame's parts, s; it never counts beyond half the time
+    """Largest difference between the stamps of a frame's parts, s; it never counts beyond half the time
     between two frames."""
     depth: Literal["z", "radial"] = "z"
     """Meaning of a depth image's pixels: distance along the boresight, or along the pixel's own ray."""

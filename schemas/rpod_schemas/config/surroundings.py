@@ -68,7 +68,7 @@ class SensorSurroundings(Config):
     """Image of the frame's size (PNG): black pixels are not used; relative to this file."""
     dead_rows: tuple[Line, ...] = ()
     """Rows of the sensor's frames that never measure, counted from 0, such as dead channels of a scanner.
-    Their rays tell nothing; without this entry they count as misses of the target."""
+    Their rays carry no information; without this entry they count as misses of the target."""
     dead_columns: tuple[Line, ...] = ()
     """Columns that never measure, counted from 0."""
     background: Path | None = None

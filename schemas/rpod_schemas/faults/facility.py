@@ -85,7 +85,7 @@ FACILITY_FAULTS: tuple[Fault, ...] = (
         "slow",
         "a service gets the processor for a part of the time only: other programs, a hot processor",
         "",
-        "give the service a processor of its own",
+        "give the service its own processor",
         kinds=(),
         subject="process",
         size=Size("share of the time that is taken away", 0.5, 0.0, 0.95),

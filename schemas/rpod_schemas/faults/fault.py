@@ -43,7 +43,7 @@ class Fault:
     kinds: tuple[str, ...] = BOTH
     """Kinds of sensors that can have it."""
     needs: Evidence | None = None
-    """Input that the check needs to see it; None if the messages alone tell."""
+    """Input that the check needs to see it; None if the messages alone show it."""
     in_lockstep: bool = False
     """Whether it can be injected in lockstep: each frame still comes, once, under its own stamp."""
     from_start: bool = False

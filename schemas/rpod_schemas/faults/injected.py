@@ -1,4 +1,4 @@
-"""Faults that were injected, as the topic ``faults`` tells them (ICD section 2)."""
+"""Faults that were injected, as the topic ``faults`` reports them (ICD section 2)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -54,15 +54,16 @@ def read_faults(message: Any) -> list[InjectedFault]:
     return [_read(each) for each in read_diagnostics(message)]
 
 
-def _read(told: Diagnostic) -> InjectedFault:
-    values = told.values
+def _read(diagnostic: Diagnostic) -> InjectedFault:
+    values = diagnostic.values
     end = values.get("end_ns")
     try:
         size = float(values["size"]) if "size" in values else None
     except ValueError as error:
-        raise MessageRejectedError(Reason.MALFORMED, f"size {values['size']!r} of a fault") from error
+        text = f"size of a fault is {values['size'][:40]!r}, needs a number"
+        raise MessageRejectedError(Reason.MALFORMED, text) from error
     return InjectedFault(
-        fault=told.name,
+        fault=diagnostic.name,
         where=values.get("where", ""),
         begin_ns=_time_ns("begin_ns", values.get("begin_ns", "")),
         end_ns=None if end is None else _time_ns("end_ns", end),

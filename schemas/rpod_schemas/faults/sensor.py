@@ -66,7 +66,7 @@ FAULTS: tuple[Fault, ...] = (
         "unpaired_parts",
         "the parts of a frame carry different stamps: each is stamped on its own",
         "parts",
-        f"{_DRIVER} stamp all parts of a frame alike, or set source.pair_within_s",
+        f"{_DRIVER} give all parts of a frame the same stamp, or set source.pair_within_s",
         kinds=_CAMERA,
     ),
     Fault(
@@ -121,7 +121,7 @@ FAULTS: tuple[Fault, ...] = (
         "repeated_stamps",
         "two frames carry the same stamp",
         "order",
-        f"{_DRIVER} give each frame a stamp of its own, and publish it once",
+        f"{_DRIVER} give each frame its own stamp, and publish it once",
     ),
     Fault(
         "reordered_stamps",

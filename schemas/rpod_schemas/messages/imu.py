@@ -60,7 +60,7 @@ def _variance(covariance: FloatArray, field: str) -> float | None:
     """Return the mean variance of a covariance, shape (9,); None where it says that nothing is measured."""
     variances = covariance[[0, 4, 8]]
     if not np.isfinite(variances).all():
-        raise MessageRejectedError(Reason.NOT_FINITE, f"{field} covariance")
+        raise MessageRejectedError(Reason.NOT_FINITE, f"{field} covariance holds a value that is not finite")
     return None if variances[0] == _ABSENT else float(variances.mean())
 
 

@@ -31,7 +31,9 @@ def read_joints(message: Any) -> Joints:
             Reason.MALFORMED, f"{len(names)} names, {angles.size} positions, {rates.size} velocities"
         )
     if not (np.isfinite(angles).all() and np.isfinite(rates).all()):
-        raise MessageRejectedError(Reason.NOT_FINITE, "position or velocity of a joint")
+        raise MessageRejectedError(
+            Reason.NOT_FINITE, "position or velocity of a joint holds a value that is not finite"
+        )
     return Joints(
         stamp_ns=read_stamp(message.header),
         angle_rad=dict(zip(names, angles.tolist(), strict=True)),

@@ -17,7 +17,7 @@ from rpod_schemas.messages.header import within
 from rpod_schemas.types import LENS_COEFFICIENTS
 
 _MOST_RAD = np.radians(80.0)
-"""Greatest angle from the boresight that is fitted."""
+"""Largest angle from the boresight that is fitted."""
 _ANGLES = 400
 _ROUNDS = 6
 """Rounds in which the fit's weights become those of distances in the image."""
@@ -31,7 +31,7 @@ def coefficients(model: str, given: tuple[float, ...], farthest: float) -> NDArr
     Args:
         model: distortion model of a CameraInfo.
         given: its coefficients; further ones must be 0.
-        farthest: greatest distance of a pixel from the principal point, over the focal length.
+        farthest: largest distance of a pixel from the principal point, over the focal length.
 
     Raises:
         MessageRejectedError: the model is unknown, or has terms that are not supported.

@@ -169,5 +169,6 @@ def begins_with_stamp(type_name: str) -> bool:
 def checked_stamp(seconds: int, nanoseconds: int) -> int:
     """Return a builtin_interfaces/Time as ns. Raises ``MessageRejectedError`` if it is not a valid time."""
     if seconds < 0 or not 0 <= nanoseconds < NANOSECONDS:
-        raise MessageRejectedError(Reason.MALFORMED, f"stamp {seconds} s {nanoseconds} ns")
+        text = f"stamp is {seconds} s {nanoseconds} ns, needs no negative number and less than a second in ns"
+        raise MessageRejectedError(Reason.MALFORMED, text)
     return int(seconds) * NANOSECONDS + int(nanoseconds)

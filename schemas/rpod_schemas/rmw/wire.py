@@ -29,7 +29,7 @@ class Attachment:
 
 
 UNNUMBERED = Attachment(0, 0, bytes(GID_BYTES))
-"""Attachment that stands for a missing one if none is needed."""
+"""Attachment that replaces a missing one where none is needed."""
 
 
 def unpack_attachment(data: bytes | None) -> Attachment:
@@ -51,7 +51,10 @@ def unpack_attachment(data: bytes | None) -> Attachment:
         )
     sequence, stamp_ns, size, gid = _ATTACHMENT.unpack(data)
     if size != GID_BYTES or sequence < 0:
-        raise MessageRejectedError(Reason.MALFORMED, f"attachment with gid size {size}, sequence {sequence}")
+        raise MessageRejectedError(
+            Reason.MALFORMED,
+            f"attachment with gid size {size}, sequence number {sequence}; needs {GID_BYTES}, and 0 or more",
+        )
     return Attachment(sequence, stamp_ns, gid)
 
 
@@ -95,7 +98,7 @@ def token_pattern(namespace: Namespace, kind: str, node: str, topic: Topic | Non
         namespace: domain and ROS namespace of the node.
         kind: ``NN``, ``MP``, ``MS``; also ``SS`` and ``SC`` of ROS services, whose topic is the service.
         node: name of the node.
-        topic: topic of an endpoint, in which ``*`` stands for a part of the name; None for ``NN``.
+        topic: topic of an endpoint, in which ``*`` matches a part of the name; None for ``NN``.
     """
     prefix = f"/{namespace.prefix}" if namespace.prefix else ""
     head = f"@ros2_lv/{namespace.domain}/*/*/*/{kind}/*/{_mangled(prefix)}/{node_name(node)}"

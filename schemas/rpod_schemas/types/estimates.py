@@ -88,7 +88,7 @@ class EstimatorStatus(Stamped):
     belief: BeliefLevel = BeliefLevel.ACCEPTED
     """Belief of the method in its pose, which the filter's gate may still reject."""
     evidence: dict[str, float] = Field(default_factory=dict)
-    """Numbers from which the belief follows, by name; each name carries its unit or is a share."""
+    """Numbers from which the belief follows, by name; a name contains the unit if the number has one."""
 
 
 class EstimateValidity(Stamped):
@@ -122,7 +122,7 @@ class IntegrityState(IntEnum):
 class Integrity(Stamped):
     """Bounds of the errors that the estimate may have without an alert (Integrity.msg).
 
-    The level is the length of error that is exceeded without an alert with at most the probability ``risk``.
+    The probability that an error exceeds its protection level without an alert is at most ``risk``.
     """
 
     state: IntegrityState
@@ -139,4 +139,4 @@ class Integrity(Stamped):
     position_limit_m: float = float("nan")
     """Alert limit of the position at this range, m; NaN without an estimate."""
     evidence: dict[str, float] = Field(default_factory=dict)
-    """Numbers from which state and levels follow, by name; each name carries its unit or is a share."""
+    """Numbers from which state and levels follow, by name; a name contains the unit if the number has one."""

@@ -113,5 +113,5 @@ class SensorInfo(Model):
 
     @property
     def farthest_m(self) -> float:
-        """Greatest distance that the sensor can measure by its settings, m; inf if they limit none."""
+        """Largest distance that the sensor can measure by its settings, m; inf if they limit none."""
         return float("inf")

@@ -10,7 +10,7 @@ from rpod_schemas.bounds import Stamp, Text
 from rpod_schemas.types.base import Model
 
 SYNC = "sync/"
-"""First part of the values of diagnostics that tell how sensors keep time."""
+"""First part of the names of values in diagnostics that state how sensors keep time."""
 
 
 class SensorSync(Model):
@@ -41,10 +41,10 @@ class SensorSync(Model):
             pydantic.ValidationError: a value is not one of those of the ICD.
         """
         prefix = f"{SYNC}{sensor}/"
-        told = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
+        stated = {name: value for key, value in values.items() if (name := key.removeprefix(prefix)) != key}
         return (
-            cls.model_validate({name: told[name] for name in cls.model_fields if name in told})
-            if told
+            cls.model_validate({name: stated[name] for name in cls.model_fields if name in stated})
+            if stated
             else None
         )
 

@@ -29,7 +29,7 @@ class LidarScan(SensorFrame):
     time_s: Floats | None = None
     """Times from the stamp, s, shape of ``points_m`` without its last axis."""
     hidden: Image | None = None
-    """Rays of the scan pattern that tell nothing of the target, because a known body is there, bool, shape
+    """Rays of the scan pattern that do not show the target, because a known body is there, bool, shape
     (rows, columns); None if no body is known."""
 
     @model_validator(mode="after")

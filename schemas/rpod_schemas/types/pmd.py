@@ -77,7 +77,7 @@ class PmdFrame(SensorFrame):
     """Standard deviation of each pixel's depth as the camera states it, m, float32, shape (height, width);
     None if it states none."""
     hidden: Image | None = None
-    """Pixels that tell nothing of the target, because something else is there, bool, shape (height, width);
+    """Pixels that do not show the target, because something else is there, bool, shape (height, width);
     None if no such thing is known."""
 
     @property

@@ -1,1 +1,1 @@
-"""Inputs of the estimator: frames, poses of known bodies, the IMU; and which of them were used."""
+"""Inputs of the estimator: frames, poses of known bodies, the IMU, and the account of which were used."""

@@ -38,7 +38,7 @@ class BodyInput(StampedInput[FrameTrack]):
         super().__init__(node, topics, in_lockstep=config.in_lockstep)
 
     def use(self, track: FrameTrack, received: Received) -> bool:
-        """Use the pose of a body; return whether it is newer than all before."""
+        """Add the pose of a body and return True; return False if it is not newer than all before."""
         reading = checked(read_odometry(received.decode()))
         return track.take(reading.stamp_ns, reading.pose)
 
@@ -48,7 +48,7 @@ class BodyInput(StampedInput[FrameTrack]):
 
 
 class BodyReport:
-    """Tells the operator which known bodies the sensors do not see at their published places.
+    """Reports to the operator which known bodies the sensors do not see at their published places.
 
     Args:
         node: the estimator's node.
@@ -57,7 +57,7 @@ class BodyReport:
 
     def __init__(self, node: Node, bodies: KnownBodies | None) -> None:
         self._node, self._book = node, bodies.book if bodies else BodyBook()
-        self._told: dict[str, BodyState] = {}
+        self._reported: dict[str, BodyState] = {}
 
     def update(self) -> None:
         """Write counters and texts into the diagnostics, and a line into the log when a state changes."""
@@ -68,14 +68,14 @@ class BodyReport:
             name = f"body/{body}/{sensor}"
             health.alarm(name, text if state is BodyState.ELSEWHERE else "")
             health.set_text(name, text if state is BodyState.UNSEEN else "")
-            if state is not self._told.get(name, BodyState.IN_PLACE):
+            if state is not self._reported.get(name, BodyState.IN_PLACE):
                 level = logging.INFO if state is BodyState.IN_PLACE else logging.WARNING
                 log.log(level, "%s", text or f"{sensor} sees the known body {body} in its place again")
-            self._told[name] = state
+            self._reported[name] = state
 
 
 def checked(reading: Odometry) -> Odometry:
-    """Return a reading in ``chaser``; others raise ``MessageRejectedError``."""
+    """Return a reading unchanged if its frame is ``chaser``. Raises ``MessageRejectedError``."""
     if reading.frame_id != CHASER:
         raise MessageRejectedError(
             Reason.MALFORMED, f"frame_id is {reading.frame_id!r}: publish the body's pose in {CHASER!r}"

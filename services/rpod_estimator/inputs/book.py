@@ -1,4 +1,4 @@
-"""Book of the estimator's inputs: which frames of each sensor were used, and why the others were not.
+"""Account of the estimator's inputs: which frames of each sensor were used, and why the others were not.
 
 It knows neither bus nor clock; times are seconds of one monotonic clock. Its memory is bounded.
 """
@@ -16,17 +16,17 @@ from rpod_schemas.types import Health, SensorSync
 WINDOW_S = 2.0
 """Time span of the frames that are checked."""
 LEAST_FRAMES = 3
-"""Number of frames that are checked where fewer came in ``WINDOW_S``: a slow sensor has few."""
+"""Least number of frames that are checked, if fewer arrived in ``WINDOW_S`` from a slow sensor."""
 LOCKSTEP_SILENCE_S = 60.0
 """As ``WINDOW_S``, for silence by the wall clock in lockstep, where one second of the scenario may take many
 seconds. There the time of the bus decides, unless it stands still because the clock waits for a frame."""
 PERIODS = 3.0
-"""Number of its own periods after which a sensor is silent, if that is longer than ``WINDOW_S``."""
+"""Number of a sensor's periods after which it is silent, if this is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
 """Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
 DOUBTFUL_SHARE = 0.125
-"""Share of recent frames with too little support of the pose above which this is reported. Above the same
-share the navigator begins no track."""
+"""Largest share of recent frames with too little support of the pose that is not reported. Above this share
+the navigator begins no track."""
 UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
 came during a search that takes long, which is no error."""
@@ -50,7 +50,7 @@ class InputState(NamedTuple):
 
     level: Health
     text: str
-    """Description for the operator with figures and remedy; empty if there is nothing to tell."""
+    """Description for the operator with figures and remedy; empty if there is nothing to report."""
 
 
 OK = InputState(Health.OK, "")
@@ -64,11 +64,11 @@ class _Frame:
 
 
 class SensorBook:
-    """Book of one sensor.
+    """Account of one sensor's frames.
 
     Args:
         name: name of the sensor.
-        leading: part that its frames are counted by.
+        leading: part by which its frames are counted.
         now_s: time, s, of the monotonic clock, as in all methods.
         silence_s: least time without a frame after which the sensor is silent, s.
     """
@@ -84,7 +84,7 @@ class SensorBook:
         self.repeats = 0
         """Number of its newest frames that are identical to the one before them."""
         self.defect = ""
-        """Defect of its newest frame although it can be used; empty if there is none."""
+        """Defect of its newest frame, which is used nevertheless; empty if there is none."""
         self.hint = ""
         """Fault in its newest frames that may be why they are refused; empty if there is none."""
         self.clock = ""
@@ -109,11 +109,14 @@ class SensorBook:
 
     @property
     def is_unheard(self) -> bool:
-        """Whether no frame of it has come yet."""
+        """Whether no frame of it has arrived yet."""
         return self._heard_s is None
 
     def note_arrival(self, now_s: float, bus_s: float | None = None) -> None:
-        """Note that the leading part of a frame came; ``bus_s`` is its stamp where time is the bus's, s."""
+        """Note that the leading part of a frame arrived.
+
+        ``bus_s`` is its stamp, s, if time comes from the bus; otherwise None.
+        """
         if bus_s is not None:
             if self._bus_heard_s is not None:
                 self._bus_gaps_s.append(max(bus_s - self._bus_heard_s, 0.0))
@@ -126,7 +129,7 @@ class SensorBook:
         self._heard_s = now_s
 
     def use(self, now_s: float, weak_support: str = "") -> None:
-        """Count a frame that was used, and why it supports its pose too little, if it does."""
+        """Count a frame that was used; ``weak_support`` is why it supports its pose only weakly, if so."""
         self.used += 1
         self._recent.append(_Frame(now_s, None, weak_support))
 
@@ -137,11 +140,14 @@ class SensorBook:
         self._recent.append(_Frame(now_s, loss))
 
     def drop(self, now_s: float) -> None:
-        """Note a frame that was not processed, because newer ones came while the estimator worked."""
+        """Note a frame that was not processed, because newer ones arrived while the estimator worked."""
         self._dropped_s.append(now_s)
 
     def note_others(self, now_s: float, unused: str = "") -> None:
-        """Note that parts of a frame came without the leading one; ``unused`` says why no frame uses them."""
+        """Note that parts of a frame arrived without the leading one.
+
+        ``unused`` is the reason why no frame uses them; empty if they are only late.
+        """
         self._others_s = now_s
         if unused:
             self._unused.append((now_s, unused))
@@ -157,8 +163,8 @@ class SensorBook:
         """
         others = now_s - self._others_s <= WINDOW_S
         if (silent_s := self._bus_silent_s(bus_s)) > 0.0:
-            told = self._silence(silent_s, " of bus time", others=others)
-            return InputState(Health.WARN, f"{self.name}: {told}")
+            text = self._silence(silent_s, " of bus time", others=others)
+            return InputState(Health.WARN, f"{self.name}: {text}")
         silent_s = now_s - (self._since_s if self._heard_s is None else self._heard_s)
         if silent_s > self._silent_after_s:
             return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")
@@ -188,7 +194,7 @@ class SensorBook:
         if bus_s is None:
             return 0.0
         if self._bus_heard_s is None:
-            self._bus_heard_s = bus_s  # silence counts from the first message of the clock
+            self._bus_heard_s = bus_s  # silence is counted from the first message of the clock
         silent_s = bus_s - self._bus_heard_s
         return silent_s if silent_s > max(WINDOW_S, PERIODS * median(self._bus_gaps_s or [0.0])) else 0.0
 
@@ -218,7 +224,7 @@ class SensorBook:
         return InputState(Health.WARN, text)
 
     def _overloaded(self, now_s: float) -> str:
-        """Return that more than half of the recent frames were dropped, with the remedy; else empty."""
+        """Return the report, with the remedy, if more than half of the recent frames were dropped."""
         dropped = sum(now_s - time_s <= WINDOW_S for time_s in tuple(self._dropped_s))
         processed = sum(now_s - frame.time_s <= WINDOW_S for frame in self._recent)
         if dropped < LEAST_FRAMES or dropped <= processed:
@@ -237,7 +243,7 @@ class SensorBook:
 
 
 def unpaired(frame: GivenUp, leading: str) -> Loss:
-    """Return why a frame of which only parts came was not used."""
+    """Return why an incomplete frame was not used."""
     if not frame.lacks:
         return Loss(UNPAIRED, f"its {leading} came after that of a newer frame; look at the network")
     lacks = " and ".join(_lack(part, step_ns) for part, step_ns in frame.lacks.items())
@@ -245,7 +251,7 @@ def unpaired(frame: GivenUp, leading: str) -> Loss:
 
 
 def unused(frame: GivenUp, leading: str) -> str:
-    """Return why parts that came without the leading one belong to no frame; empty if they are only late."""
+    """Return why parts without a leading one belong to no frame; empty if they are only late."""
     step_ns = frame.lacks.get(leading)
     if not step_ns:
         return ""

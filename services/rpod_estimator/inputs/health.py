@@ -1,4 +1,4 @@
-"""Reports inputs that are not used to the operator: in diagnostics, and each minute in the log."""
+"""Reports to the operator about inputs that are not used: in diagnostics, and each minute in the log."""
 
 import logging
 
@@ -54,7 +54,7 @@ class InputHealth:
             sensor: SensorBook(sensor, part, now_s=now_s, silence_s=silence_s)
             for sensor, part in leading.items()
         }
-        self._told: dict[str, tuple[InputState, float]] = {}
+        self._reported: dict[str, tuple[InputState, float]] = {}
         self._next_s = now_s
         self._state = OK
         self._pause_s = 0.0
@@ -62,7 +62,7 @@ class InputHealth:
         self.refusals = Refusals()
         """Refused messages that are no frames."""
         self.rivals: list[tuple[str, Peer, Peer]] = []
-        """Publishers beside the one that is used: topic, the one that is used, the other one."""
+        """Second publishers of a topic: the topic, the publisher that is used, the other one."""
 
     def judge(self, arrived: Arrived, output: Output, now_s: float) -> None:
         """Note whether a frame was used, and why not."""
@@ -89,7 +89,7 @@ class InputHealth:
             book.note_others(now_s, unused(frame, leading))
 
     def drop(self, sensor: str, now_s: float) -> None:
-        """Count a frame that was not processed, because newer ones came while the estimator worked."""
+        """Count a frame that was not processed, because newer ones arrived while the estimator worked."""
         self._health.count(f"dropped/{sensor}")
         self.books[sensor].drop(now_s)
 
@@ -98,7 +98,7 @@ class InputHealth:
         self._pause_s = pause_s
 
     def take_diagnostic(self, diagnostic: Diagnostic) -> None:
-        """Repeat what a driver reports about a sensor's clock. Raises ``MessageRejectedError``."""
+        """Use a driver's report about a sensor's clock. Raises ``MessageRejectedError``."""
         for sensor, book in self.books.items():
             try:
                 sync = SensorSync.read(sensor, diagnostic.values)
@@ -160,11 +160,11 @@ class InputHealth:
 
     def _log(self, name: str, state: InputState, now_s: float) -> None:
         """Write a line when more than the figures of a state change, and each minute while it is not OK."""
-        before, told_s = self._told.get(name, (OK, now_s))
+        before, reported_s = self._reported.get(name, (OK, now_s))
         is_same = (state.level, without_figures(state.text)) == (before.level, without_figures(before.text))
-        if is_same and (state.level == Health.OK or now_s - told_s < REMIND_S):
+        if is_same and (state.level == Health.OK or now_s - reported_s < REMIND_S):
             return
-        self._told[name] = state, now_s
+        self._reported[name] = state, now_s
         if state.level == Health.OK:
             log.info("%s: in order again", name)
         else:

@@ -1,4 +1,4 @@
-"""The chaser's IMU as an input of the estimator: readings from the bus into the track of the dynamics."""
+"""The chaser's IMU as an input of the estimator, whose readings the model of motion uses."""
 
 from rpod_estimator.inputs.stamped import StampedInput
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
@@ -33,12 +33,16 @@ class ImuInput(StampedInput[ImuTrack]):
         super().__init__(node, {} if track is None else {IMU: track}, in_lockstep=config.in_lockstep)
 
     def use(self, track: ImuTrack, received: Received) -> bool:
-        """Use a reading of the IMU; return whether it is newer than all before."""
+        """Add a reading of the IMU and return True; return False if it is not newer than all before."""
         return track.take(checked(read_imu(received.decode()), self._config))
 
 
 def checked(reading: ImuReading, config: DynamicsConfig) -> ImuReading:
-    """Return a reading that has what the configuration needs; others raise ``MessageRejectedError``."""
+    """Return a reading unchanged if it has the data that the configuration needs.
+
+    Raises:
+        MessageRejectedError: a needed value is absent; the text names the field and the setting.
+    """
     orbit = config.orbit
     if orbit is not None and orbit.R_orbit_chaser is None and reading.R_orbit_chaser is None:
         raise MessageRejectedError(

@@ -1,4 +1,4 @@
-"""Topics that somebody publishes now, so that a sensor which never sends can be told what comes instead."""
+"""Sensors' topics that have a publisher, for the report about a sensor that never sends."""
 
 from threading import Lock
 
@@ -29,7 +29,7 @@ class Published:
             node.watch_tokens(EVERY_PUBLISHER, lambda token, is_there: self.note(own.domain, token, is_there))
 
     def note(self, own: int, token: str, is_there: bool) -> None:
-        """Note a publisher that comes or goes, by its token, if it is of another domain than the own one."""
+        """Note by its token that a publisher of another domain has appeared or gone."""
         domain, name, kind = place_of_token(token)
         if domain == own or not kind.startswith(_SENSORS):
             return

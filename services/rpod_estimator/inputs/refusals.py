@@ -1,7 +1,7 @@
-"""Messages that are no frames and were refused: infos, mounts, parts of frames, diagnostics of drivers.
+"""Refused messages that are no frames: infos, mounts, parts of frames, diagnostics of drivers.
 
-A refused frame is counted in the book of its sensor. Without this module only the log would tell of the other
-refused messages, while the sensor's frames are used with what was known before.
+A refused frame is counted in the book of its sensor. Without this module only the log would report the other
+refused messages, while the sensor's frames are used with the earlier data.
 """
 
 from typing import NamedTuple
@@ -12,22 +12,22 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Health
 
 STREAM_S = 5.0
-"""Time for which a refused message of a stream is told: a driver's diagnostics come once a second."""
+"""Time for which a refused message of a stream is reported: a driver's diagnostics come once a second."""
 _MOST = 100
-"""Largest number of publishers whose refused messages are told."""
+"""Largest number of publishers whose refused messages are reported."""
 _TOLD_ELSEWHERE = frozenset({Reason.SECOND_PUBLISHER, Reason.DUPLICATE})
 """Reasons to refuse a message that do not show an error of it; a second publisher is reported elsewhere."""
 _REMEDY = {
     True: "it is not used, the one before it still counts; correct its publisher",
     False: "it is not used; correct its publisher",
 }
-"""Consequence and remedy, for latched messages and for those of a stream."""
+"""Consequence and remedy, for latched messages (True) and for those of a stream (False)."""
 
 
 class _Refusal(NamedTuple):
     text: str
     until_s: float
-    """End of the time for which it is told, monotonic clock; infinite for a latched topic."""
+    """End of the time for which it is reported, monotonic clock, s; infinite for a latched topic."""
 
 
 class Refusals:

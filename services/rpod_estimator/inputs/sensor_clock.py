@@ -1,4 +1,4 @@
-"""Faults of a sensor's clock that its stamps show beside the clock of this machine.
+"""Comparison of a sensor's clock, as its stamps show it, with the clock of this machine.
 
 Not used in lockstep, where the time of the bus is the time of the stamps.
 """
@@ -55,7 +55,7 @@ class SensorClock:
             self._book.drift = drift.describe(self._sigma_s) if drift is not None else ""
 
     def check_step(self, leading: Received, stamp_ns: int) -> None:
-        """Check that the clock was not set since the frames before. Raises ``MessageRejectedError``."""
+        """Check that the clock was not set since the previous frames. Raises ``MessageRejectedError``."""
         step = self._steps.add(stamp_ns, leading.arrival_ns, arrival_s=leading.arrival_s, source=leading.peer)
         if self._steps.ended:
             log.warning("%s: %s", self._name, self._steps.ended)

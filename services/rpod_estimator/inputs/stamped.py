@@ -1,4 +1,4 @@
-"""Readings beside the sensors' frames: received from the bus up to each frame's stamp."""
+"""Readings that accompany the sensors' frames, received from the bus up to each frame's stamp."""
 
 import logging
 import time
@@ -18,14 +18,14 @@ _LOCKSTEP_S = 5.0
 """Longest wait in lockstep, where readings are sent before the frame and a machine may be loaded."""
 _WAITING = 8192
 _MOST_AHEAD_S = 1.0
-"""Greatest time by which a reading's stamp may be ahead of the wall clock: no clock that is kept is worse."""
+"""Largest time by which a reading's stamp may be ahead of the wall clock: no clock that is kept is worse."""
 
 
 class Track(Protocol):
     """Readings of one topic over time."""
 
     def covers(self, stamp_ns: int) -> bool:
-        """Return whether all readings up to a stamp are there."""
+        """Return whether all readings up to a stamp have arrived."""
         ...
 
 
@@ -48,9 +48,9 @@ class StampedInput(ABC, Generic[TrackT]):
     late_s: float
     """Longest wait for readings up to a frame's stamp, by the wall clock; usually they take a few ms."""
     alarm: str
-    """Message for the operator where readings of ``{topics}`` are missing."""
+    """Message for the operator if readings of ``{topics}`` are missing."""
     again: str
-    """The log line when all are there again."""
+    """Line in the log when all readings arrive again."""
 
     def __init__(self, node: Node, tracks: dict[Topic, TrackT], *, in_lockstep: bool) -> None:
         self._node = node
@@ -63,21 +63,25 @@ class StampedInput(ABC, Generic[TrackT]):
 
     @abstractmethod
     def use(self, track: TrackT, received: Received) -> bool:
-        """Use a reading; return whether it is newer than all before. Raises ``MessageRejectedError``."""
+        """Add a reading and return True; return False if it is not newer than all before.
+
+        Raises:
+            MessageRejectedError: the reading cannot be used.
+        """
 
     def is_known(self, track: TrackT, stamp_ns: int) -> bool:
         """Return whether the readings suffice for a stamp."""
         return track.covers(stamp_ns)
 
     def take_in(self) -> None:
-        """Take in what has arrived, without waiting: a track coasts by it while no frame comes."""
+        """Process the readings that have arrived, without waiting; a coasting track needs them."""
         if self._tracks:
             self._take(self._inbox.wait(0.0))
 
     def take_until(self, stamp_ns: int) -> None:
-        """Take in what has arrived; wait a little for readings up to a frame's stamp.
+        """Process the readings that have arrived, and wait shortly for readings up to a frame's stamp.
 
-        After one wait without a result, later frames do not wait until readings have arrived again.
+        After one wait without a result, later frames do not wait until readings arrive again.
         """
         if not self._tracks:
             return

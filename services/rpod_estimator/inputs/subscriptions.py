@@ -37,7 +37,7 @@ from rpod_schemas.types import Mode
 log = logging.getLogger(__name__)
 
 _WAITING_PARTS = 512
-"""Largest number of parts between the bus and the assembler; about 200 MB of images."""
+"""Largest number of parts that wait between the bus and the assembler; about 200 MB of images."""
 _MOST_REFUSED = 500
 """Largest number of refused frames that wait for their status; further ones are counted as dropped."""
 _MOST_MOUNTS = 50
@@ -98,11 +98,11 @@ class Subscriptions:
 
     @property
     def infos(self) -> Mapping[str, Any]:
-        """Info that each sensor has published of itself, by sensor name; None where there is none."""
+        """Newest info message of each sensor, by sensor name; None if a sensor has sent none."""
         return self._reader.infos
 
     def pin(self, pinned: bool) -> None:
-        """Require of sensors that they stay set up as they are, or not."""
+        """Set whether the setups of the sensors must not change."""
         self._reader.pinned = pinned
 
     def request_reset(self, request: ResetRequest) -> None:
@@ -265,16 +265,16 @@ class Subscriptions:
         self._led_s[sensor] = received.arrival_s
 
     def report_health(self, mode: Mode) -> None:
-        """Write the health of the inputs into the diagnostics, by the time up to which all was processed."""
+        """Write the health of the inputs into the diagnostics, at the time up to which all was processed."""
         bus_ns = self._node.clock.settled_ns() if self._in_lockstep else 0
         self.health.report(mode, self.heard_until_s, bus_ns / NANOSECONDS if bus_ns else None)
 
-    def _tell_mount(self, sensor: str, measurement: Measurement) -> None:
-        """Write a mount to the log for the operator: the data of one sensor do not show its error."""
-        told = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
-        if told not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
-            self._mounts.add(told)
-            log.info("%s", told)
+    def _log_mount(self, sensor: str, measurement: Measurement) -> None:
+        """Write a mount to the log for the operator, because the data of one sensor do not show its error."""
+        text = f"{sensor}: it is {in_words(measurement.T_chaser_sensor)}"
+        if text not in self._mounts and len(self._mounts) < _MOST_MOUNTS:
+            self._mounts.add(text)
+            log.info("%s", text)
 
     def _put(self, sensor: str, frames: list[Assembled[Received]]) -> None:
         for frame in frames:
@@ -301,7 +301,7 @@ class Subscriptions:
             )
 
     def _check_step(self, sensor: str, received: Received, stamp_ns: int) -> None:
-        """Check that the sensor's clock was not set since the frames before, if its publisher is used."""
+        """Check that the sensor's clock was not set since the previous frames, if its publisher is used."""
         try:
             self._holders.check(received.topic.name, received.peer, received.arrival_s)
         except SecondPublisherError:
@@ -309,10 +309,10 @@ class Subscriptions:
         self._clocks[sensor].check_step(received, stamp_ns)
 
     def _is_of_its_frames(self, part: Received, leading: Received) -> bool:
-        """Return whether a part is of the publisher of the frames, so that it counts as new as its frame.
+        """Return whether a part comes from the publisher of the frames, so that it is as new as its frame.
 
-        Where sessions are unknown, the part belongs to the publisher with whose frames it was used first,
-        unless the part arrived while another publisher sent the frames.
+        If sessions are unknown, the part belongs to the publisher with whose frames it was used first, unless
+        it arrived while another publisher sent the frames.
         """
         if part.session or leading.session:
             return part.session == leading.session
@@ -338,7 +338,7 @@ class Subscriptions:
                 if self._kept.may_hold(part):
                     self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
-                self._tell_mount(sensor, arrived.measurement)
+                self._log_mount(sensor, arrived.measurement)
                 if not self._in_lockstep:
                     last = self._reader.last(sensor, arrived.measurement.data)
                     self._clocks[sensor].note_end(last, leading, frame.stamp_ns)

@@ -1,1 +1,1 @@
-"""Targets with joints: their angles are found with the pose."""
+"""Targets with joints, whose angles are estimated together with the pose."""

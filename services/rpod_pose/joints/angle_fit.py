@@ -1,9 +1,10 @@
-"""Angle of a joint at a known pose: the posterior over its limits by the distances of a frame's points.
+"""Angle of a joint at a known pose: the posterior within its limits from the distances of a frame's points.
 
-Each point belongs to the nearer of two surfaces, the joint's parts at an angle and all else of the target.
-The posterior is computed on a grid over all that the angle may be, then on a finer one around its greatest
-value, so that an angle that the frame leaves open, or ambiguous, has a large standard deviation. A length
-by which all ranges are too long, such as a camera's wiggling, is estimated from all points in between.
+Each point belongs to the nearer of two surfaces: the joint's parts at an angle, or the rest of the target.
+The posterior is computed on a grid over all possible angles, and then on a finer grid around its maximum. So
+the standard deviation is large if the frame does not determine the angle, or if it is ambiguous. The length
+by which all ranges are too long, for example by a camera's wiggling, is estimated from all points between the
+two steps.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,13 +24,13 @@ from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_target import Joint, Target
 
 STEP_RAD = radians(1.0)
-"""Step of the grid over all angles: half of the accuracy that is wanted of a first angle. Numerics: a finer
-grid over these angles follows."""
+"""Step of the grid over all angles: half of the required accuracy of a first angle. Numerics: a finer grid
+follows."""
 FINE_NODES = 61
-"""Nodes of the grid around the greatest value. Numerics: they are 0.13 standard deviations apart."""
+"""Number of nodes of the grid around the maximum. Numerics: they are 0.13 standard deviations apart."""
 SPREAD = 4.0
-"""Standard deviations of an expected angle, and of the first posterior, that a grid covers to each side.
-Physics: one in 16,000 normal errors is larger."""
+"""Half width of a grid, in standard deviations of an expected angle or of the first posterior. Physics: one
+in 16,000 normal errors is larger."""
 INLIER = 3.0
 """Geman-McClure scale over the residuals' standard deviation. Physics: one in 370 normal errors is larger."""
 COUNTED = 400.0
@@ -37,15 +38,15 @@ COUNTED = 400.0
 ``JointDepthConfig.effective_points``."""
 WIDE_RAD, NARROW, STEPS = radians(15.0), 0.05, 12
 """Steps in which pose and angles are fitted together: the first Geman-McClure scale as an angle of the joint,
-the last one over it, and their number. Numerics: half of ``methods.STEP_RAD``, narrowed by a quarter a
-step."""
+the ratio of the last to the first scale, and their number. Numerics: half of ``methods.STEP_RAD``, narrowed
+by a quarter in each step."""
 WEAK = 1e-4
-"""Share of the mean information that is added to that of each unknown, so that none is undetermined.
-Numerics: it changes a step that is determined by one part in 10,000."""
+"""Share of the mean information that is added to that of each unknown, so that each is determined. Numerics:
+it changes a determined step by one part in 10,000."""
 
 
 class Turns(NamedTuple):
-    """Angles of a joint, as the kernel takes them."""
+    """Angles of a joint in the form that the kernel takes."""
 
     matrices: FloatArray
     """Rotations from target axes to the parts' axes at the angle 0, shape (A, 3, 3)."""
@@ -83,7 +84,7 @@ def turned_costs(
 
 @kernel
 def looked_up(points: FloatArray, field: FieldArrays) -> FloatArray:
-    """Return distance, m, and gradient of a field at points, (N, 3), target axes, shape (N, 4)."""
+    """Return distance, m, and gradient of a field, shape (N, 4), at points, target axes, shape (N, 3)."""
     found = np.empty((len(points), 4))
     for n in range(len(points)):
         distance, slope = field_at(field, Vector(points[n, 0], points[n, 1], points[n, 2]))
@@ -93,14 +94,15 @@ def looked_up(points: FloatArray, field: FieldArrays) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """Points against the surface of a target at given angles."""
+    """Distances of points from the surface of a target at given angles."""
 
     distance_m: FloatArray
     """Distance of each point, shape (N,)."""
     normals: FloatArray
     """Gradients of the distance, target axes, shape (N, 3)."""
     by_angle: FloatArray
-    """Derivative of each distance by the joint's angle, m/rad, shape (N,); 0 for points of the rest."""
+    """Derivative of each distance with respect to the joint's angle, m/rad, shape (N,); 0 for points that are
+    not on its parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ class Aligned:
 
 
 class JointSolver:
-    """Finds the angles of a target's joints in the points of a frame."""
+    """Estimates the angles of a target's joints from the points of a frame."""
 
     def __init__(self, target: Target) -> None:
         assert target.fixed is not None  # noqa: S101 - a target with joints
@@ -125,12 +127,12 @@ class JointSolver:
     def angles(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, expected: Mapping[str, Angle]
     ) -> dict[str, Angle]:
-        """Return the angle of each joint at a pose; with several joints, each with the others as expected.
+        """Return the angle of each joint at a pose; the other joints have their expected angles meanwhile.
 
         Args:
             points_m: measured points, sensor axes, shape (N, 3).
             T_sensor_target: the pose.
-            expected: what is known of each joint's angle before.
+            expected: prior of each joint's angle, by name.
         """
         if not len(points_m):
             return dict(expected)
@@ -144,10 +146,11 @@ class JointSolver:
     ) -> "Aligned":
         """Return pose and angles that are fitted together, from a pose near the solution.
 
-        Where the parts of a joint are most of the target, fitting the one with the other fixed leads along a
-        narrow valley. Each step is that of least squares by pose and angles, with Geman-McClure weights whose
-        scale narrows. The loop is not that of ``registration.gauss_newton``, whose sums have seven unknowns:
-        here each joint adds one.
+        If the parts of a joint are most of the target, alternate fits of pose and angle converge slowly along
+        a narrow valley. Therefore each step is a least-squares step of pose and angles together, with
+        Geman-McClure weights whose scale narrows.
+        The loop is not that of ``registration.gauss_newton``, whose sums have seven unknowns: here each joint
+        adds one.
 
         Args:
             points_m: measured points, sensor axes, shape (N, 3).
@@ -180,7 +183,7 @@ class JointSolver:
         return Aligned(pose, at, loss_m2)
 
     def _rows(self, places_m: FloatArray, at: Mapping[str, Angle]) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of each distance by pose and angles, (N, 6 + joints), and the distances."""
+        """Return the derivatives of each distance for pose and angles, (N, 6 + joints), and the distances."""
         seen = [self._surface(places_m, self.joints, at, joint) for joint in self.joints]
         normals = seen[0].normals
         by_angle = [each.by_angle for each in seen]
@@ -226,7 +229,7 @@ class JointSolver:
         at: Mapping[str, Angle],
         of: Joint | None = None,
     ) -> _Surface:
-        """Return points against the fixed parts and those of joints; ``of`` is that of the derivatives."""
+        """Return distances of points from the target; the derivatives are those for the joint ``of``."""
         found, by_angle = looked_up(places_m, self._fixed), np.zeros(len(places_m))
         for joint in joints:
             motion = joint.turned(at[joint.name].angle_rad)
@@ -247,13 +250,13 @@ class JointSolver:
     ) -> tuple[FloatArray, dict[str, Angle]]:
         """Return a pose's covariance with the errors of the angles, and the angles with those of the pose.
 
-        A pose was found with the angles as if they were known, and an angle with the pose: each shifts by
-        the other's error times its derivative in least squares.
+        The pose was estimated as if the angles were known, and the angles as if the pose were known. So each
+        has an additional error: the error of the other times the derivative in least squares.
 
         Args:
             points_m: measured points, sensor axes, shape (N, 3).
             T_sensor_target: the pose.
-            covariance: its covariance of (dp, dtheta), sensor axes, for known angles, shape (6, 6).
+            covariance: covariance of its (dp, dtheta) for known angles, sensor axes, shape (6, 6).
             angles: angles with their standard deviations for a known pose.
         """
         places_m = T_sensor_target.inv().apply(points_m)
@@ -282,7 +285,7 @@ class JointSolver:
 
 
 def unknown(joint: Joint) -> Angle:
-    """Return the angle of a joint of which only the limits are known."""
+    """Return the uniform prior of a joint's angle between its limits."""
     least, greatest = joint.limits_rad
     return Angle(0.5 * (least + greatest), (greatest - least) / sqrt(12.0))
 
@@ -304,7 +307,7 @@ def _turns(joint: Joint, angles: FloatArray) -> Turns:
 
 
 def _bias_m(seen: _Surface, rays: FloatArray, near: NDArray[np.bool_]) -> float:
-    """Return the length by which all ranges are too long, by the points near the surface."""
+    """Return the length, m, by which all ranges are too long, from the points near the surface."""
     along = (seen.normals * rays).sum(axis=1)[near]
     squares = float(along @ along)
     return float(along @ seen.distance_m[near]) / squares if squares > 0.0 else 0.0

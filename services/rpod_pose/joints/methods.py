@@ -1,9 +1,10 @@
-"""Methods for targets with joints: the rigid methods at the angles that a frame shows.
+"""Methods for targets with joints: the methods for rigid targets, applied at estimated angles.
 
-A first pose is searched with the target at a few angles over the joints' limits. At each pose that is found
-the angles are fitted (``angle_fit``), then the pose again with the target at these angles, until neither
-changes; the pose that explains the frame best is the result. In tracking the angles are expected near those
-of the frames before. The target is put together anew only when an angle has moved by ``RESOLUTION_RAD``.
+A first pose is searched with the target at some angles between the joints' limits. At each pose of the search
+the angles are fitted (``angle_fit``), and then the pose with the target at these angles, until neither
+changes. The result is the pose that explains the frame best. In tracking, the angles are expected near those
+of the earlier frames. The model of the target is built again only when an angle has changed by
+``RESOLUTION_RAD``.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,41 +27,41 @@ from rpod_schemas.types import BeliefLevel
 from rpod_target import Equivalence, Joint, Target, posed
 
 STEP_RAD = radians(30.0)
-"""Greatest distance of the angles at which a first pose is searched. Hand: the fit of an angle converges from
+"""Largest distance of the angles at which a first pose is searched. Hand: the fit of an angle converges from
 half of it; the time of a search grows with the number of angles."""
 RESOLUTION_RAD = radians(0.25)
-"""Angles are rounded to multiples of it before the target is put together. Numerics: an eighth of the aim of
+"""Step to which angles are rounded before the model of the target is built. Numerics: an eighth of the aim of
 2 deg."""
 ROUNDS = 6
-"""Largest number of times that angle and pose are fitted in turn. Numerics: a budget; ``SLOWEST`` lets few of
-them suffice."""
+"""Largest number of alternate fits of angle and pose. Numerics: a budget; because of the extrapolation, few
+suffice."""
 REGISTERED = 3
-"""Number of poses, the best by their points alone, whose whole frame is compared. Numerics: a budget of
-registrations."""
+"""Number of best poses, compared by their points alone, that are compared in the whole frame. Numerics: a
+budget of registrations."""
 COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
-"""Angles by which a joint and, against it, all else are turned to find a better fit. Hand: up to nearly half
-of ``STEP_RAD``, by which the first search may be off."""
+"""Angles by which a joint is turned, and the rest of the target against it, to find a better fit. Hand: up to
+nearly half of ``STEP_RAD``, which is the largest error of the first search."""
 KEPT = 4
-"""Number of trackers that are kept, each at its own angles. Numerics: memory; each holds the models of a
-whole target."""
+"""Number of trackers that are kept, each for its own angles. Numerics: memory; each has the models of a whole
+target."""
 SLOWEST = 0.8
-"""Largest ratio of two steps in turn from which further ones are extrapolated. Numerics: the sum of all
+"""Largest ratio of two successive steps from which further steps are extrapolated. Numerics: the sum of all
 further steps is then at most four times the last one."""
 POINTS = 2000
 """Largest number of a frame's points in the fit of an angle. Numerics: a budget of computation; their number
 is well above the 400 that count as independent."""
 CHANCE = 2.0
-"""Standard deviations of a share of agreeing rays by chance, within which two poses explain a frame alike.
-Physics: one in 44 normal errors is larger to one side."""
+"""Largest difference of the shares of agreeing rays, in standard deviations, of two poses that explain a
+frame equally well. Physics: one in 44 normal errors is larger to one side."""
 DISTINCT_RAD = radians(10.0)
-"""Angle from which on two poses differ. Hand: a third of ``STEP_RAD``."""
+"""Least angle between two distinct poses. Hand: a third of ``STEP_RAD``."""
 
 Angles = Mapping[str, Angle]
 
 
 @dataclass(frozen=True, eq=False)
 class RigidMethods:
-    """Makers of the methods for a rigid target."""
+    """Functions that create the methods for a rigid target."""
 
     methods: Callable[[Target], Methods]
     tracker: Callable[[Target], Tracker[Any]]
@@ -75,7 +76,7 @@ def jointed(target: Target, rigid: RigidMethods) -> Methods:
 
 
 class _Shared:
-    """Data that the methods share, whatever angles are expected."""
+    """Data that the methods share, for any expected angles."""
 
     def __init__(self, target: Target, rigid: RigidMethods) -> None:
         self._points = rigid.points
@@ -97,7 +98,7 @@ class _Shared:
         self._acquirer_at = lru_cache(1)(lambda key: rigid.methods(posed(target, _unrounded(key))).acquirer)
 
     def expecting(self, angles: Angles) -> Methods:
-        """Return the methods where angles are expected."""
+        """Return the methods for expected angles."""
         tracker = _Tracker(self, angles)
         return Methods(_Acquirer(self, tracker, angles), tracker, self._deskew, expecting=self.expecting)
 
@@ -126,7 +127,7 @@ class _Shared:
 
 
 class _Tracker:
-    """Fits angles and pose in turn, from the angles that are expected."""
+    """Fits angles and pose alternately, starting from the expected angles."""
 
     def __init__(self, shared: _Shared, expected: Angles) -> None:
         self._shared, self._expected = shared, expected
@@ -179,7 +180,7 @@ class _Tracker:
 
 
 class _Acquirer:
-    """Searches with the target at a few angles, then with the target at the angles of the best pose."""
+    """Searches with the target at some angles, then with the target at the angles of the best pose."""
 
     def __init__(self, shared: _Shared, tracker: _Tracker, expected: Angles) -> None:
         self._shared, self._tracker, self._expected = shared, tracker, expected
@@ -222,9 +223,9 @@ class _Acquirer:
         return _distinct([self._least(points_m, each) for each in best], shared.alike)
 
     def _least(self, points_m: FloatArray, found: Aligned) -> Aligned:
-        """Return the best of poses around one where the parts of a joint stay in place and all else turns.
+        """Return the best of several poses at which a joint's parts keep their place and the rest turns.
 
-        Where these parts are most of what is seen, the fit may end beside the solution in this direction.
+        If these parts are most of the visible target, a fit may end at a wrong minimum in this direction.
         """
         tried = [found]
         for joint in self._shared.solver.joints:
@@ -240,7 +241,7 @@ class _Acquirer:
 
 
 def _extrapolated(step_rad: float, last_rad: float | None) -> float:
-    """Return the sum of the steps that would follow, each smaller than the one before by the same ratio.
+    """Return the sum of all further steps, if each is smaller than the previous one by the same ratio.
 
     Source: A. C. Aitken, On Bernoulli's Numerical Solution of Algebraic Equations, Proc. Royal Society of
     Edinburgh 46, 1926.
@@ -250,7 +251,7 @@ def _extrapolated(step_rad: float, last_rad: float | None) -> float:
 
 
 def _are_apart(angles: Angles, others: Angles) -> bool:
-    """Return whether the target differs between angles by more than their rounding."""
+    """Return whether two sets of angles differ by more than their rounding."""
     return any(
         abs(angle.angle_rad - others[name].angle_rad) > RESOLUTION_RAD for name, angle in angles.items()
     )
@@ -283,7 +284,7 @@ def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
 
 
 def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalence) -> Belief:
-    """Return a belief with the poses at other angles that explain the frame as well as the best one.
+    """Return a belief with the poses at other angles that explain the frame equally well as rivals.
 
     Args:
         belief: belief in the best pose.
@@ -307,7 +308,7 @@ def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalen
 
 
 def _explains_alike(best: Registration, other: Registration) -> bool:
-    """Return whether a frame may be of another pose: by the likelihood, or by the share of agreeing rays."""
+    """Return whether another pose explains a frame equally well, by likelihood or share of agreeing rays."""
     if np.isfinite(best.log_likelihood):
         return other.log_likelihood > best.log_likelihood + log(NEGLIGIBLE)
     share = best.explained_share

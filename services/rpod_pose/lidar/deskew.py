@@ -1,4 +1,4 @@
-"""De-skewing: moves a scan's returns to where they would have been measured at the scan's stamp.
+"""De-skewing: motion of a scan's returns to where they would have been measured at the scan's stamp.
 
 A scan takes 0.17 s by default. In this time a target that tumbles at 8 deg/s turns by 1.3 deg. With the twist
 that the filter predicts, each return is moved along with the target from its own time to the stamp. The stamp
@@ -7,8 +7,8 @@ is the middle of the scan, so that a wrong twist deforms the scan but shifts the
 The scan stays organised, but a moved return no longer lies on the ray of its cell. The difference is the
 motion since the return's own time: in the example at most 0.7 deg times the return's distance from the axis
 of rotation over its range, which is a part of a cell of 1 deg. The return is still a sample of the surface,
-so its distance from a face is valid. Near an outline the neighbouring ray may meet another surface; the
-margin of a self-check must cover that.
+so its distance from a face is valid. Near an outline the neighbouring ray may meet another surface. The
+margin of a self-check must cover this.
 """
 
 import numpy as np
@@ -24,8 +24,8 @@ def deskewed(
 ) -> LidarScan:
     """Return a scan as if all its returns had been measured at the stamp; unchanged if it has no times.
 
-    A point of the target that is at p a time t after the stamp was at p0 + Exp(-w t) (p - p0 - v t) at the
-    stamp, with the target's origin at p0.
+    A point of the target that is measured at p at the time t after the stamp was at
+    p0 + Exp(-w t) (p - p0 - v t) at the stamp, where p0 is the position of the target's origin at the stamp.
 
     Args:
         scan: scan with or without times.

@@ -1,17 +1,18 @@
 """Acquisition in one scan, without a guess: all attitudes are tried, and the likeliest pose is verified.
 
-1. Thousands of attitudes, spread over all of SO(3), are aligned with the scan by the centroid that the sensor
-   should measure, and compared roughly (``energy``): first on a few points, the best on more.
-2. The best are aligned with the scan (``scan_alignment``) and ranked by the likelihood of every ray, hit or
-   missed (``scan_fit``). If returns are many, the first pose that explains them beyond question ends this
+1. Thousands of attitudes, spread over all of SO(3), are positioned by the centroid that the sensor should
+   measure, and compared roughly (``energy``): all of them on a few points, the best ones on more.
+2. The best ones are aligned with the scan (``scan_alignment``) and ranked by the likelihood of every ray, hit
+   or missed (``scan_fit``). If there are many returns, the first pose that surely explains them ends this
    step.
-3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
-   axes. If returns are few, or tell little of a small target, all turns of the best pose are refined on the
-   outline and by samples as far as it is itself, and the poses are weighed by their posterior mass.
-4. If the scan is less likely than the best pose itself expects, the search is repeated with more attitudes.
+3. Poses with which the best one may be confused are tried too: its near-symmetries and quarter turns about
+   its axes. If the returns are few, or give little information about a small target, all turns of the best
+   pose are refined like the pose itself, on the outline and by samples. The poses are then weighted by their
+   posterior mass.
+4. If the scan is less likely than the best pose predicts, the search is repeated with more attitudes.
 
 The belief in the pose needs no other pose for comparison: it compares the scan's likelihood with the
-likelihood that the pose itself expects. The weights of the hypotheses are their likelihoods.
+likelihood that the pose predicts. The weights of the hypotheses are proportional to their posterior masses.
 """
 
 from collections.abc import Sequence
@@ -78,10 +79,10 @@ class GlobalSearch:
         return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
     def verify(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
-        """Refine a pose that another method found, and return it with its belief.
+        """Return a pose of another method, refined and with its belief.
 
-        The outcome is "failed" also if a pose that it may be mistaken for explains the scan far better, and
-        "ambiguous" if such a pose explains the scan about as well.
+        The outcome is "failed" also if a pose with which it may be confused explains the scan much better,
+        and "ambiguous" if such a pose explains the scan about as well.
         """
         whole = self._seen(measurement)
         if whole.returns < self._tuning.min_points:
@@ -101,8 +102,9 @@ class GlobalSearch:
     def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a scan near registered poses, shape (N,): ports.Likelihoods.
 
-        They are integrals over the surroundings of each pose, by samples. Registrations that stop at
-        different distances from their optima do not compare.
+        They are logarithms of integrals over poses near each one, computed from samples. The likelihoods at
+        the poses themselves are not comparable, since registrations stop at different distances from their
+        optima.
         """
         search = self._search_in(self._seen(measurement))
         poses = (each.T_sensor_target for each in found if each.T_sensor_target is not None)
@@ -122,17 +124,17 @@ class GlobalSearch:
                 attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
             templates += len(attitudes)
             poses = search.search(attitudes, level)
-            if poses and poses[0].fit.deficit <= 0.0:  # as likely as the pose itself expects
+            if poses and poses[0].fit.deficit <= 0.0:  # the scan is as likely as the pose predicts
                 break
         return self._verified(whole, search, poses, templates)
 
     def _seen(self, measurement: LidarScan) -> SeenScan:
-        """Return the returns that may be the target's, whatever their number."""
+        """Return the scan with only those returns that may be on the target."""
         seen = self._tracker.view.seen(measurement)
         return seen.around(2.0 * self._radius_m) if seen.returns else seen
 
     def _search_in(self, whole: SeenScan) -> ScanSearch:
-        """Return the search in a scan; a dense scan is reduced to every few rows and columns."""
+        """Return the search in a scan; a dense scan is reduced to every ``stride``-th row and column."""
         stride = max(1, round(sqrt(whole.returns / self._tuning.most_returns)))
         first = whole.first(stride)
         seen = whole.every(stride, first) if stride > 1 else whole
@@ -180,6 +182,6 @@ class GlobalSearch:
             others = rivals(poses, logs, self._model.turns.exact)
             if belief.continues_track:
                 belief = belief_with_rivals(others, belief, least=least)
-            else:  # where other things contradict the pose, the whole frame may support it
+            else:  # if other things contradict the pose, the whole frame may still support it
                 belief = replace(belief, rivals=others, needed_weight=least)
         return Acquisition(replace(registration, belief=belief), templates=templates)

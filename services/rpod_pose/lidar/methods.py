@@ -1,4 +1,4 @@
-"""The LIDAR's methods as the registry names them, and how they are made for a scan pattern."""
+"""The LIDAR's methods under their names in the registry, and their creation for a scan pattern."""
 
 from collections.abc import Callable
 
@@ -33,7 +33,7 @@ def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
-    """Return the template matching of the 2015 paper, whose candidates the tracker refines."""
+    """Return the template matching of the 2015 paper; the tracker refines and checks its candidates."""
     assert task.tracker is not None  # noqa: S101 - made before the acquirer
     search = OnlineTemplateMatching(config, task.target, task.setup)
     return VerifiedSearch(search, task.tracker, config.choice)
@@ -80,9 +80,14 @@ def make(task: Task) -> Methods:
 
 
 class ScanFrames:
-    """Separates scans: surroundings.frames.Frames."""
+    """Separates scans into the target and other things: surroundings.frames.Frames.
+
+    Args:
+        pattern: scan pattern of the LIDAR.
+    """
 
     range_bias_m = 0.0
+    """Standard deviation of the error that all ranges of a scan share; none is assumed."""
 
     def __init__(self, pattern: ScanPattern) -> None:
         self._view = ScanView.of(pattern.azimuth_rad, pattern.elevation_rad, pattern.row_azimuth_rad)
@@ -98,9 +103,10 @@ class ScanFrames:
         labels: NDArray[np.uint8],
         inside: NDArray[np.bool_],  # noqa: ARG002 - a ray without a return has missed the target
     ) -> LidarScan:
-        """Return a scan without the returns of other things; those that hide the target are ``HIDDEN_M``.
+        """Return a scan without the returns of other things.
 
-        So is a ray of an organised scan without a return where something hides the target.
+        Returns of things that hide the target get the coordinates ``HIDDEN_M``. In an organised scan, rays
+        without a return get them too if something hides the target there.
         """
         seen = self._view.seen(frame)
         _, places, _ = returns_of(np.ascontiguousarray(frame.points_m.reshape(-1, 3)))
@@ -114,9 +120,11 @@ class ScanFrames:
         return frame.model_copy(update={"points_m": points_m.reshape(frame.points_m.shape)})
 
     def behind_bodies(self, frame: LidarScan, hides: NDArray[np.bool_]) -> LidarScan:
-        """Return a scan without the returns of known bodies, given by the rays that meet them.
+        """Return a scan without the returns of known bodies; rays that were hidden before stay hidden.
 
-        A ray that told nothing before tells nothing still.
+        Args:
+            frame: the scan.
+            hides: whether a ray of the pattern meets a known body, shape (rows, columns).
         """
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
         separated = self.separated(frame, labels, hides)
@@ -124,7 +132,7 @@ class ScanFrames:
         return separated.model_copy(update={"hidden": hidden})
 
     def nearer(self, frame: LidarScan, ratio: float) -> LidarScan:
-        """Return a scan whose ranges are smaller by a ratio."""
+        """Return a scan whose ranges are divided by a ratio."""
         points_m = np.asarray(frame.points_m / np.float32(ratio), np.float32)
         points_m.setflags(write=False)
         return frame.model_copy(update={"points_m": points_m})
@@ -134,7 +142,7 @@ class ScanFrames:
         return part
 
     def whole_of(self, frame: LidarScan) -> None:
-        """Return None: a part keeps nothing of the whole scan."""
+        """Return None: a part does not contain the whole scan."""
 
     def every_range_m(self, frame: LidarScan) -> Float32Array:
         """Return the range of each ray of the pattern."""
@@ -142,17 +150,17 @@ class ScanFrames:
 
 
 def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
-    """Return the separation of a LIDAR's scans."""
+    """Return the functions that separate a LIDAR's scans into the target and other things."""
     return ScanFrames(pattern)
 
 
 _FEW_RETURNS = 24
-"""Number of returns of the second ideal scan. Numerics: below ``projective_icp.MANY``, so that the pose is
-the mean of a sampled posterior, whose code is then compiled too."""
+"""Number of returns in the second ideal scan. Numerics: it is below ``projective_icp.MANY``, so that the pose
+is the mean of a sampled posterior, whose code is then compiled too."""
 
 
 def ideal_scan(target: Target, T_lidar_target: RigidTransform, pattern: ScanPattern) -> tuple[LidarScan, ...]:
-    """Return a scan without noise, and the same with few returns, for the warm-up."""
+    """Return two scans without noise for the warm-up: with all returns, and with few of them."""
     grid = pattern.grid
     hits = cast(grid, target.triangles_m, T_lidar_target)
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, np.nan)
@@ -178,6 +186,6 @@ LIDAR_METHODS = KindMethods(
     separation=scan_frames,
     tracker=make_tracker,
     points=lambda scan: scan.returns_m,
-    missing="no scan pattern: neither lidar info, the points nor the configuration give it; let the driver "
+    missing="no scan pattern: neither lidar info, the points nor the configuration state it; let the driver "
     "publish its info, or set azimuth_rad and elevation_rad of the sensor",
 )

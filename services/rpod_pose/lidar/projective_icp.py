@@ -1,14 +1,14 @@
 """Tracking in scans by casting the target at a predicted pose: projective point-to-plane ICP.
 
-A few steps in the target's distance field, on some of the returns, bring the pose near the solution; a few
-steps to the faces, on all returns, refine it (``scan_alignment``). Where the faces leave a motion open, the
-outline determines it (``outline``). Where returns are few, or the scan is less likely than at a right pose,
-the pose becomes the mean of the posterior, by samples of its surroundings (``posterior``). The likelihood of
-the scan at the pose is the self-check (``scan_fit``).
+First, some steps in the target's distance field, on a part of the returns, bring the pose near the solution.
+Then some steps to the faces, on all returns, refine it (``scan_alignment``). If the faces do not determine a
+direction, the outline does (``outline``). If there are few returns, or if the scan is less likely than at a
+right pose, the result is the mean of the posterior, computed from samples near the pose (``posterior``). The
+likelihood of the scan at the pose is the self-check (``scan_fit``).
 
 A body that is nearly one of revolution has many optima about its axis, since few rays meet the details that
-tell the turn. The likelihood is therefore evaluated at turns about such an axis. The likeliest is taken, and
-the covariance holds how far the others spread.
+determine the rotation about it. Therefore the likelihood is evaluated at turns about such an axis. The
+likeliest one is taken, and the covariance contains the spread of the others.
 """
 
 from dataclasses import replace
@@ -50,16 +50,16 @@ from rpod_schemas.types import BeliefLevel, LidarScan, Source
 from rpod_target import Target
 
 NEARLY_ROUND = 12
-"""Least order of a near-symmetry whose axis is nearly one of revolution. Hand: turns by 30 deg or less;
-larger ones are rivals of their own."""
+"""Least order of a near-symmetry whose axis counts as one of revolution. Hand: its turns are 30 deg or less;
+larger turns are rivals."""
 NEAR_TURNS_RAD = np.radians(np.linspace(-15.0, 15.0, 13))
 """Turns about such an axis from the prediction. Physics: up to half of the step of the least order."""
 VAGUE_DEG = 3.5
-"""Largest standard deviation of a believed turn, deg. Physics: an error of 10 deg then has a probability of
-0.5 %."""
+"""Largest standard deviation of a believed turn about the axis, deg. Physics: an error of 10 deg then has a
+probability of 0.5 %."""
 MANY = 70
-"""Number of informative returns from which on a scan that is as likely as at a right pose determines it.
-Hand: fewer leave several optima within some standard deviations."""
+"""Least number of informative returns with which a scan that is as likely as at a right pose determines the
+pose. Hand: with fewer, there are several optima within some standard deviations."""
 
 
 class ProjectiveIcp:
@@ -112,10 +112,10 @@ class ProjectiveIcp:
     def _turned(
         self, seen: SeenScan, problem: FaceProblem, start: PoseArrays, found: ScanRegistration
     ) -> tuple[ScanRegistration, FloatArray]:
-        """Return a registration at its likeliest turn about the nearly round axes, and the others' spread.
+        """Return a registration at its likeliest turn about axes of revolution, and the turns' covariance.
 
-        The turns are ``NEAR_TURNS_RAD`` from the prediction. The spread is a covariance, sensor's axes,
-        shape (3, 3): that of the turns by their likelihoods.
+        The turns are ``NEAR_TURNS_RAD`` from the prediction. The covariance is weighted by their likelihoods,
+        sensor axes, shape (3, 3), rad2.
         """
         spread = np.zeros((3, 3))
         for axis in self._near_axes:
@@ -135,7 +135,7 @@ class ProjectiveIcp:
     def _turns(
         self, seen: SeenScan, start: PoseArrays, pose: PoseArrays, axis: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return turns of a pose about an axis, rad, its own last, and the scan's log likelihoods, (N,)."""
+        """Return turns of a pose about an axis, rad, the last one 0, and their log likelihoods, (N,) each."""
         between = Rotation.from_matrix(start.R.T @ pose.R).as_quat()
         from_start_rad = 2.0 * np.arctan2(between[:3] @ axis, between[3])
         angles_rad = np.append(NEAR_TURNS_RAD - from_start_rad, 0.0)
@@ -168,15 +168,15 @@ class ProjectiveIcp:
         return self._with_sizes(seen, problem, turned, _with_least_covariance(registration, spread))
 
     def _is_sure(self, seen: SeenScan, found: ScanRegistration) -> bool:
-        """Return whether a scan determines a registration that is as likely as a right one."""
+        """Return whether a scan surely determines a registration: it is likely, and the returns are many."""
         return is_sure(found, seen.returns, self._reach) and self.model.informative(seen) >= MANY
 
     def _settled(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration
     ) -> tuple[ScanRegistration, bool]:
-        """Return a registration at an optimum, and whether it is surely there.
+        """Return a registration at an optimum, and whether it surely is at one.
 
-        While one of a few poses around it is likelier, the registration starts anew from there.
+        While one of some sampled poses near it is likelier, the registration starts again from that pose.
         """
         for _ in range(RESUMED):
             spread = neighbourhood(found.information, found.pose, self._reach, stretch=1.0)
@@ -193,7 +193,7 @@ class ProjectiveIcp:
     def _with_sizes(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration, registration: Registration
     ) -> Registration:
-        """Return a registration that continues a track with the way to its poses for other sizes."""
+        """Return a registration with the function for its poses at other sizes, if it continues a track."""
         if not registration.continues_track:
             return registration
         assumed, declared = self.model.assumed, self._model_error.scale
@@ -203,10 +203,11 @@ class ProjectiveIcp:
     def _resumed(
         self, seen: SeenScan, problem: FaceProblem, found: ScanRegistration
     ) -> tuple[ScanRegistration, SampledPosterior | None]:
-        """Return a registration that may have been beside the solution, and the posterior around it.
+        """Return a registration that may not have converged to the solution, and the posterior near it.
 
-        Samples around it show what else explains the scan. If a few of them have all the weight and one is
-        likelier, the registration starts anew from there. The posterior is None if they still have it then.
+        Samples near it show which other poses explain the scan. If a few samples have all the weight and one
+        of them is likelier, the registration starts again from there. The posterior is None if a few samples
+        have all the weight even then.
         """
         for _ in range(RESUMED):
             rough = neighbourhood(found.information, found.pose, self._reach)
@@ -226,7 +227,7 @@ class ProjectiveIcp:
     def _placed(
         self, seen: SeenScan, found: ScanRegistration, posterior: SampledPosterior | None
     ) -> Registration:
-        """Return a registration at the mean of the posterior around it, if there is one."""
+        """Return the registration at the mean of the posterior, or as it is if there is no posterior."""
         if posterior is None:
             return self._registration(seen, found)
         mean, fit, covariance = self.model.mean(seen, found.pose, posterior)
@@ -235,14 +236,20 @@ class ProjectiveIcp:
         return self._registration(seen, placed, sampled=True)
 
     def finish(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Registration:
-        """Return the registration from a pose R, t, sensor axes, that is close to the solution."""
+        """Return the registration from a pose that is close to the solution.
+
+        Args:
+            seen: the scan.
+            R: R_sensor_target, shape (3, 3).
+            t: position of the target's origin, sensor axes, shape (3,), m.
+        """
         problem, start = self._problem(seen), PoseArrays(R, t)
         return self._registration(
             seen, refined(problem, start, seen.range_m, self.model.assumed, self._reach)
         )
 
     def placed(self, registration: Registration, pose: Placed, information: FloatArray) -> Registration:
-        """Return a registration with another pose of the same scan, and the information about it, (6, 6)."""
+        """Return a registration with another pose, whose information has the shape (6, 6)."""
         covariance = pose_covariance(information + self._weak, pose.R)
         return replace(
             registration, T_sensor_target=pose_of(pose.R, pose.t), covariance=covariance, parts=None
@@ -263,7 +270,7 @@ class ProjectiveIcp:
     def _registration(
         self, seen: SeenScan, found: ScanRegistration, *, sampled: bool = False
     ) -> Registration:
-        """Return a registration; ``sampled`` if its information is that of the sampled posterior."""
+        """Return a registration; ``sampled`` states whether its information is that of sampled poses."""
         inliers, squares, (R, t) = found.faces.inliers, found.faces.squares_m2, found.pose
         if inliers < self._tuning.min_points:
             return _failed(f"{inliers} returns on faces, {self._tuning.min_points} needed")
@@ -286,7 +293,7 @@ class ProjectiveIcp:
         )
 
     def _parts(self, seen: SeenScan, found: ScanRegistration, *, sampled: bool) -> ErrorParts:
-        """Return the errors of a registration by how long they last."""
+        """Return the errors of a registration, separated by how long they last."""
         R, rows = found.pose.R, FaceRows.of(self._problem(seen), found)
         of_noise = found.information if sampled else noise_information(rows, found, self._weak)
         white = pose_covariance(of_noise + self._weak, R)
@@ -303,7 +310,10 @@ def _log_likelihood(found: ScanRegistration) -> float:
 
 
 def _with_least_covariance(registration: Registration, spread: FloatArray) -> Registration:
-    """Return a registration whose attitude is at least as uncertain as its turns, covariance (3, 3)."""
+    """Return a registration with the covariance of the turns about its axes added, shape (3, 3), rad2.
+
+    If the turn is too uncertain, the belief is doubtful.
+    """
     if registration.T_sensor_target is None:
         return registration
     covariance = registration.covariance.copy()

@@ -1,4 +1,4 @@
-"""The image of squared angles to the nearest return, which the energies of a scan need."""
+"""Image of the squared angles to the nearest return, from which the energies of a scan are computed."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,10 @@ from rpod_schemas.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ReturnDistances:
-    """The squared angle between any ray and the nearest ray with a return.
+    """Geometry of the image of squared angles between any direction and the nearest ray with a return.
 
-    The image is even in tan(azimuth) and tan(elevation), x/z and y/hypot(x, z): points need no trigonometry.
+    The image has equal steps in tan(azimuth) = x/z and tan(elevation) = y/hypot(x, z), so that points are
+    projected without trigonometric functions.
     """
 
     view: ScanView
@@ -24,9 +25,9 @@ class ReturnDistances:
     rows: NDArray[np.intp]
     """Row of the pattern nearest to each row of the image."""
     low: tuple[float, float]
-    """First edge of the image's columns and of its rows."""
+    """First edge of the image's columns and of its rows, as tangents."""
     step: tuple[float, float]
-    """Width of a column and height of a row."""
+    """Width of a column and height of a row, as tangents."""
 
     @classmethod
     def of(cls, view: ScanView) -> "ReturnDistances":

@@ -1,10 +1,11 @@
 """Alignment of the target with a scan: first steps in the distance field, then steps to the faces.
 
-In the first steps each return is moved along the distance field's gradient, which needs no correspondence. In
-the last steps the target is cast at the pose: each return belongs to the face that its own ray meets, and its
+In the first steps the residual of a return is its distance in the field, which needs no correspondence. In
+the last steps the target is cast at the pose. Each return belongs to the face that its own ray meets. Its
 residual is the distance from that face's plane, weighted for an error along the ray (projective point to
 plane, after G. Blais, M. D. Levine, Registering Multiview Range Data to Create 3D Computer Objects, IEEE PAMI
-17, 1995). Both share the unknowns of ``normal_equations``; outliers are damped by Geman-McClure weights.
+17, 1995). The unknowns are those of ``normal_equations``; Geman-McClure weights reduce the effect of
+outliers.
 """
 
 from typing import NamedTuple
@@ -29,11 +30,11 @@ from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 
 FEWEST = 3
-"""Least number of returns on faces that determine a step. Physics: each gives one equation, and the prior of
-a step holds the rest."""
+"""Least number of returns on faces for a step. Physics: each gives one equation, and the prior of a step
+determines the rest."""
 INFLUENTIAL = 0.75
-"""Leverage above which one return alone determines a motion: it may be on the wrong face. Hand: without this
-return the motion has a quarter of its information."""
+"""Leverage above which a single return determines a direction; it may be assigned to the wrong face. Hand:
+without this return the direction has a quarter of its information."""
 PARALLEL = 1e-6
 """Least squared cosine of incidence in a division, for a face seen edge-on. Numerics: it avoids a division by
 zero; ``steepest`` is larger in practice."""
@@ -47,10 +48,10 @@ class ScanErrors(NamedTuple):
     slack_m: float
     """Standard deviation of a face's position along its normal."""
     steepest: float
-    """Least squared cosine of incidence for the distance along the ray by which outliers are recognised."""
+    """Least squared cosine of incidence in the distance along the ray, by which outliers are detected."""
     per_outline_m: float
-    """One over the standard deviation of the field's distance, for a return whose ray misses the target, 1/m;
-    0 leaves such returns out."""
+    """Inverse of the standard deviation of the distance in the field, for a return whose ray misses the
+    target, 1/m; with 0 such returns are left out."""
 
 
 class FaceProblem(NamedTuple):
@@ -69,6 +70,7 @@ class FaceProblem(NamedTuple):
     scales_m: FloatArray
     """Geman-McClure scale of a range's residual in each step, shape (steps,)."""
     buffers: RenderBuffers
+    """Buffers of the target rendered at the pose."""
 
 
 class FaceEvidence(NamedTuple):
@@ -77,13 +79,14 @@ class FaceEvidence(NamedTuple):
     sums: FloatArray
     """Sums over the returns on faces alone, shape (35,)."""
     rows: FloatArray
-    """Derivatives and weight of each return, shape (N, 7); the weight is 0 for a return on no face."""
+    """Derivatives and weight of each return, shape (N, 7); the weight is 0 for a return that is on no
+    face."""
     squares_m2: float
     """Sum of the inliers' squared distances from their planes."""
     inliers: int
     """Number of returns within the Geman-McClure scale."""
     faded: float
-    """Sum of the inliers' Geman-McClure weights."""
+    """Sum of the inliers' Geman-McClure weights, at most their number."""
 
 
 class FaceFit(NamedTuple):
@@ -91,8 +94,8 @@ class FaceFit(NamedTuple):
 
     pose: PoseArrays
     information: FloatArray
-    """Information about (dtau, dtheta) in the last step, without influential returns, for the sigmas of the
-    weights, shape (6, 6). It is rescaled so that inliers count fully, since their weights are below 1 too."""
+    """Information matrix of (dtau, dtheta) in the last step, without influential returns, for the assumed
+    sigmas, shape (6, 6). It is rescaled so that inliers count fully, although their weights are below 1."""
     squares_m2: float
     """Sum of the squared distances of the last step's inliers from their planes."""
     inliers: int
@@ -101,10 +104,9 @@ class FaceFit(NamedTuple):
 
 @kernel
 def excess(squares_m2: float, inliers: int, sigma_m: float) -> float:
-    """Return the factor by which residuals vary more than their assumed sigma, at least 1.
+    """Return the factor by which the variance of residuals exceeds the assumed one, at least 1.
 
-    It is the ratio of their variance to the assumed one if the former is larger, for the degrees of freedom
-    that six unknowns leave.
+    It takes account of the degrees of freedom that six unknowns use.
 
     Args:
         squares_m2: sum of the inliers' squared distances from their planes.
@@ -116,9 +118,9 @@ def excess(squares_m2: float, inliers: int, sigma_m: float) -> float:
 
 @kernel
 def pose_covariance(information: FloatArray, R: FloatArray) -> FloatArray:
-    """Return the covariance of (dp, dtheta) in the sensor's axes, shape (6, 6).
+    """Return the covariance of (dp, dtheta) in sensor axes, shape (6, 6).
 
-    It is the inverse of the information about (dtau, dtheta), shape (6, 6), turned by R_sensor_target.
+    It is the inverse of the information matrix of (dtau, dtheta), shape (6, 6), rotated by R_sensor_target.
     """
     to_sensor = np.zeros((6, 6))
     to_sensor[:3, :3] = R
@@ -164,12 +166,12 @@ def add_face_points(
     """Return the sums and the evidence of returns on faces; add the factors of the others to ``outline``.
 
     A return on a face with the plane n . q = o has the residual n . q - o along n. Its error along the ray
-    gives an error of sigma cos(incidence) along the normal, and the face itself has an error of the slack, so
-    that the weight is 1 / (sigma^2 cos^2 + slack^2). A return whose ray misses the target has the distance in
-    the target's field as its residual, along the field's gradient.
+    causes an error of sigma cos(incidence) along the normal, and the face has an error of its own, the slack.
+    So the weight is 1 / (sigma^2 cos^2 + slack^2). For a return whose ray misses the target, the residual is
+    the distance in the target's field, along the field's gradient.
 
     Args:
-        outline: sums over the returns beyond the outline, shape (35,), input and output.
+        outline: sums over the returns whose rays miss the target, shape (35,), input and output.
         problem: the problem; its buffers hold the target rendered at the pose.
         pose: pose to linearise at.
         scale: Geman-McClure scale, m, above 0.
@@ -184,7 +186,7 @@ def add_face_points(
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
         face = owner[rays[n]] if 0 <= rays[n] < owner.size else -1
-        if face < 0:  # beyond the outline: the outline is moved towards the return
+        if face < 0:  # the ray misses the target: the residual moves the outline towards the return
             d, g = distance_and_gradient(
                 (x - origin[0]) * per_m, (y - origin[1]) * per_m, (z - origin[2]) * per_m, values
             )
@@ -225,7 +227,7 @@ def face_equations(problem: FaceProblem, state: State, step: int) -> Linear[Face
 
 @inner_kernel
 def face_aligned(problem: FaceProblem, pose: PoseArrays) -> FaceFit:
-    """Return the pose after one step to the faces for each of the problem's scales."""
+    """Return the pose after one step to the faces for each of the problem's Geman-McClure scales."""
     fit = minimised(problem, State(pose, 0.0), problem.scales_m.size)
     evidence = fit.linear.evidence
     whole = evidence.inliers / max(evidence.faded, 1e-6)

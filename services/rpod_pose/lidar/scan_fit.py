@@ -1,13 +1,13 @@
 """Fit of a pose to a scan: the likelihood of every ray, hit or missed.
 
-The target is cast at the pose. A ray that should meet it gives a return with a probability estimated from the
-scan itself (``detection``), with a heavy-tailed range error whose scale the sensor states
+The target is cast at the pose. A ray that should meet it gives a return with a probability that is estimated
+from the scan itself (``detection``). Its range has a heavy-tailed error whose scale the sensor states
 (``scan_likelihood``). A ray that should meet nothing gives a return with a small probability, at any range.
 The scan's log likelihood is the sum over the rays.
 
-This sum has an expectation and a variance under the pose itself. The *deficit*, expected minus actual log
+If the pose is right, this sum has a known expectation and variance. The *deficit*, expected minus actual log
 likelihood, therefore measures how inconsistent the scan is with the pose, without any other pose for
-comparison: the deficit of a right pose is small and random, that of a wrong one is several units per return.
+comparison. The deficit of a right pose is small and random; that of a wrong one is several units per return.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, PixelMarks, contradicted
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.posterior.sampled_posterior import (
     Proposal,
@@ -43,35 +44,34 @@ from rpod_pose.ports import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_pose.search.even_samples import steps_of
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
 ENTROPY = sqrt(2.0 * pi * e)
-"""Width of a uniform distribution with the entropy of a normal one, in standard deviations. A return's
-information is the logarithm of the width of what is known before over that of what is known after it.
-Physics: sqrt(2 pi e)."""
+"""Width of a uniform distribution with the entropy of a normal one, in standard deviations. The information
+of a return is the logarithm of the ratio of these widths before and after it. Physics: sqrt(2 pi e)."""
 LARGE = 1e3
-"""Size of a target in standard deviations of a range from which on a return counts fully. Hand: 25 m for 25
-mm, about ENVISAT for the documented LIDAR."""
+"""Least size of a target, in standard deviations of a range, at which a return counts fully. Hand: 25 m for
+25 mm, about ENVISAT for the documented LIDAR."""
 LEAST_DEVIATION = 3.0
-"""Least standard deviation of a deficit, for scans in which almost nothing is random. Hand: a scan in which
-all rays are certain would refuse each deficit."""
+"""Least standard deviation of a deficit, for scans in which almost nothing is random. Hand: otherwise any
+deficit would refuse a scan in which all rays are certain."""
 MARGIN = 3
-"""Rows and columns beside the target that it may reach while a pose is refined. Numerics: a budget; a pose
-that moves farther is compared with fewer rays."""
+"""Number of rows and columns around the target and the returns that are evaluated near a pose. Numerics: a
+budget; a pose that reaches farther is compared with fewer rays."""
 UNKNOWN_SIGMA_M = 0.05
-"""Sigma of a range of a sensor that does not state it. Hand: pulsed LIDARs have errors of 2 to 5 cm."""
+"""Sigma of a range if the sensor does not state it. Hand: pulsed LIDARs have errors of 2 to 5 cm."""
 
 DRAWN_POWER = 4
-"""Two to this power poses are drawn around one, to tell whether it is settled. Numerics: a budget; where a
-pose is some standard deviations off, several of 16 are likelier."""
+"""Logarithm to base 2 of the number of poses that are drawn near a pose to check whether it is at an optimum.
+Numerics: a budget; if a pose is some standard deviations off, several of 16 are likelier."""
 
 _UNEVEN = 0.15
-"""Error of ranges that neighbours may share by their surface, over the stated sigma. Hand: 3 of 20 mm."""
+"""Error that the ranges of neighbours may share because of their surface, over the stated sigma. Hand: 3 of
+20 mm."""
 _LIMIT = 4.0
-"""Largest residual that counts in full in the test of the model, over the stated sigma. Physics: one in
-16,000 normal errors is larger."""
+"""Limit of a residual in the test of the model, over the stated sigma. Physics: one in 16,000 normal errors
+is larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +82,11 @@ class ScanFit:
     deficit: float
     """Expected minus actual log likelihood of the scan."""
     deviation: float
-    """Standard deviation of the deficit under the pose."""
+    """Standard deviation of the deficit if the pose is right."""
 
     @classmethod
     def of(cls, statistics: ScanStatistics) -> Self:
-        """Return the fit of a pose at which a scan has these statistics."""
+        """Return the fit of a pose from the scan's statistics at the pose."""
         agreement, expected, variance = statistics
         return cls(agreement, expected - agreement.log_likelihood, sqrt(variance))
 
@@ -97,15 +97,15 @@ class ScanFit:
 
 
 class ScanModel:
-    """The statistics of a sensor's scans of a target.
+    """Statistical model of a sensor's scans of a target.
 
     Args:
         config: assumptions about the scans.
         acceptance: limits within which a pose explains a scan.
         view: rays of the scan pattern.
         surface: model of the target.
-        sigma_range_m: standard deviation of a range as the sensor states it; 0 if it does not.
-        tolerance_m: standard deviation by which the target's file says that its surface may be off.
+        sigma_range_m: standard deviation of a range that the sensor states; 0 if it does not.
+        tolerance_m: standard deviation of the target's surface that its file declares.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class ScanModel:
         self._pessimistic = _assumptions(worse, self.sigma_range_m, self._radius_m)
 
     def informative(self, seen: SeenScan) -> float:
-        """Return the number of returns, weighted by the information of one relative to a large target's."""
+        """Return the number of returns, multiplied by the information of one relative to a large target."""
         ratio = 2.0 * self._radius_m / self.sigma_range_m
         return seen.returns * min(max(log(ratio / ENTROPY) / log(LARGE / ENTROPY), 0.0), 1.0)
 
@@ -139,17 +139,23 @@ class ScanModel:
         return Rays(seen.grid.arrays, self._faces, hits.range_m, hits.triangle)
 
     def fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
-        """Return how well the pose R, t of the target in the sensor explains a scan."""
-        step()
+        """Return how well a pose explains a scan.
+
+        Args:
+            seen: the scan.
+            R: R_sensor_target, shape (3, 3).
+            t: position of the target's origin, sensor axes, shape (3,), m.
+        """
+        stop_if_cancelled()
         return ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays(seen), self.assumed))
 
     @property
     def expected_shares(self) -> tuple[float, FloatArray]:
-        """Return the ``detection`` of ``energies``: steps of the table per unit of echo, and the table."""
+        """The argument ``detection`` of ``energies``: steps of the table per unit of echo, and the table."""
         return LINEAR_STEPS * self.assumed.least_range_m**2, self._shares
 
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
-        """Return the belief that a pose with a known fit explains a scan."""
+        """Return the belief in a pose whose fit is known; arguments as for ``fit``."""
         rays = fit.agreement
         evidence = self._evidence(fit, seen.returns)
         if self._explains(evidence):
@@ -167,8 +173,8 @@ class ScanModel:
     def _marked(self, belief: Belief, seen: SeenScan, R: FloatArray, *, missing: bool) -> Belief:
         """Return a belief with the rays that are inconsistent with the pose that was cast last.
 
-        These are the returns that clutter explains better than the target does and, if more returns are
-        missing than the echoes explain, the rays that meet the target and gave none.
+        These are the returns that clutter explains better than the target does. If more returns are missing
+        than the echoes explain, they are also the rays that meet the target and gave no return.
         """
         hits = self._view.hits
         met, measured = hits.triangle >= 0, seen.range_m > 0.0
@@ -192,12 +198,12 @@ class ScanModel:
     def misfit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> Misfit:
         """Return the test of the target's model by the residuals of neighbouring returns.
 
-        The range noise of two pulses is independent, so that the mean product of neighbours' residuals is 0
-        whatever the size of the noise is. A face that is elsewhere than in the model, or whose pose is wrong,
-        shifts neighbours alike. What the file's tolerances and the sensor's ``_UNEVEN`` explain is taken off.
-        Residuals are limited to ``_LIMIT``, so that outliers count and do not dominate. Returns beside the
-        target, more than a ray off its outline, have the limit as their residual; as many pairs of them as
-        their share gives by chance are taken off.
+        The range noise of two pulses is independent. So the mean product of neighbours' residuals is 0,
+        whatever the size of the noise is. A face at another place than in the model, or a wrong pose, shifts
+        neighbours in the same direction. The part that the file's tolerances and ``_UNEVEN`` explain is
+        subtracted. Residuals are limited to ``_LIMIT``, so that outliers count but do not dominate. Returns
+        beside the target, more than one ray from its outline, have the limit as their residual; the number of
+        pairs that is expected by chance is subtracted.
         """
         hits = self._view.hits
         cast_faces(seen.grid.arrays, self._faces, R, t, hits.arrays)
@@ -213,11 +219,11 @@ class ScanModel:
         return Misfit(float(product.sum()) - expected_m2, float(product @ product))
 
     def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
-        """Return the numbers by which a fit is believed.
+        """Return the numbers from which the belief in a fit follows.
 
-        If a share s of the rays disagrees on average, up to s + 2 sqrt(s / returns) may be found: two
-        standard deviations more. ``disagreeing_share`` is the s for which the share that was found is just
-        allowed.
+        If on average a share s of the rays disagrees, a share up to s + 2 sqrt(s / returns) is expected in a
+        scan: two standard deviations more. ``disagreeing_share`` is the s for which the actual share is just
+        at this limit.
         """
         chance = sqrt(1.0 / returns)
         return {
@@ -237,14 +243,14 @@ class ScanModel:
         )
 
     def is_settled(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> bool:
-        """Return whether a pose is as likely as those around it; arguments as for ``more_likely_pose``."""
+        """Return whether a pose is as likely as poses near it; arguments as for ``more_likely_pose``."""
         return bool(np.isfinite(covariance).all()) and self.more_likely_pose(seen, pose, covariance) is None
 
     def more_likely_pose(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> PoseArrays | None:
         """Return a pose near a given one whose log likelihood is higher by more than ``CHANCE``, or None.
 
-        An alignment may stop beside the optimum, as where thousands of small faces leave it many steps. A
-        pose drawn from the covariance around an optimum is less likely than it, by three units on average.
+        An alignment may stop before the optimum, for example among thousands of small faces. A pose that is
+        drawn from the covariance at an optimum has a log likelihood that is lower by three on average.
 
         Args:
             seen: the scan.
@@ -258,13 +264,13 @@ class ScanModel:
         return stepped(pose, steps[best]) if logs[best] > logs[0] + CHANCE else None
 
     def posterior(self, seen: SeenScan, pose: PoseArrays, covariance: FloatArray) -> SampledPosterior:
-        """Return the posterior of the pose of the target in the sensor near a given one.
+        """Return the posterior of poses near a given one.
 
         Args:
             seen: the scan.
             pose: the pose.
-            covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, rather too large,
-                shape (6, 6).
+            covariance: rough covariance of (dtau, dtheta) as in ``normal_equations``, too large rather than
+                too small, shape (6, 6).
         """
         measured, rays = self._cropped(seen, pose)
         proposal = Proposal(covariance, draws())
@@ -285,12 +291,12 @@ class ScanModel:
     ) -> tuple[PoseArrays, ScanStatistics, FloatArray]:
         """Return the mean of a posterior, the scan's statistics there, and the covariance of (dtau, dtheta).
 
-        The mean of several optima may explain the scan less than they do. The likeliest sample is then
-        returned, with the covariance about it.
+        If there are several optima, their mean may explain the scan worse than they do. Then the likeliest
+        sample is returned, with the covariance about it.
 
         Args:
             seen: the scan.
-            pose: the pose from which the posterior's steps are taken.
+            pose: the pose from which the posterior's steps are counted.
             posterior: the posterior.
         """
         mean, likeliest = stepped(pose, posterior.mean), stepped(pose, posterior.likeliest)
@@ -319,7 +325,7 @@ def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float)
 def _neighbours(
     value: FloatArray, chosen: NDArray[np.bool_]
 ) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-    """Yield products of horizontal and vertical neighbours, and at which of them both are chosen."""
+    """Yield the products of horizontal, then of vertical neighbours, and whether both are chosen."""
     yield value[:, 1:] * value[:, :-1], chosen[:, 1:] & chosen[:, :-1]
     yield value[1:] * value[:-1], chosen[1:] & chosen[:-1]
 

@@ -1,9 +1,9 @@
-"""Likelihood of a scan at a pose, ray by ray: actual, expected, and which rays agree.
+"""Likelihood of a scan at a pose, ray by ray: the actual and the expected one, and which rays agree.
 
 These are the kernels of ``scan_fit``. The range error of a return from a surface has Student's distribution
-with four degrees of freedom, with the scale that the sensor states: a normal error whose variance is only
-roughly known (by a scaled inverse chi-square distribution with four degrees of freedom). Its tails cover
-outliers, so that neither their number nor their size has to be known.
+with four degrees of freedom, with the scale that the sensor states. This is the distribution of a normal
+error whose variance is only roughly known (by a scaled inverse chi-square distribution with four degrees of
+freedom). Its tails contain outliers, so that neither their number nor their size has to be known.
 """
 
 from typing import NamedTuple
@@ -21,16 +21,17 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 STEEPEST = 0.05
-"""Least cosine of incidence in the effect of a surface's slack along the ray. Numerics: it avoids a division
-by zero; it is 87 deg."""
+"""Least cosine of incidence by which a surface's slack is converted to the ray. Numerics: it avoids a
+division by zero; the angle is 87 deg."""
 PEAK = 0.375
 """Density of Student's distribution with 4 degrees of freedom at zero, in units of one over its scale.
 Physics: 3/8."""
 HALF_BEAM_RAD = 1.5e-3
-"""Half the width of a beam. Physics: turning scanners have 3 mrad (Velodyne, VLS-128 manual, table F-1), and
-no message states it. A beam gives a return where its edge meets a surface, although its middle passes."""
+"""Half the width of a beam. Physics: rotating scanners have 3 mrad (Velodyne, VLS-128 manual, table F-1), and
+no message states it. A beam may give a return if only its edge meets a surface and its middle passes."""
 HIT_MEAN, HIT_VARIANCE = 1.6818, 0.9661
-"""Mean and variance of minus the logarithm of that density. Physics: integrated numerically."""
+"""Mean and variance of minus the logarithm of Student's density with unit scale. Physics: integrated
+numerically."""
 
 
 class Assumptions(NamedTuple):
@@ -45,13 +46,13 @@ class Assumptions(NamedTuple):
     clutter_density: float
     """Number of unrelated returns per ray and metre of range, 1/m."""
     least_range_m: float
-    """Range at which a white surface at normal incidence gives a return for every other pulse, at least."""
+    """Range at which the weakest sensor detects every other pulse on a white surface at normal incidence."""
     detection: Detection
     """Probabilities that rays give returns."""
 
 
 class Rays(NamedTuple):
-    """The rays of a pattern, the target that they are cast at, and buffers of shape (rows, columns)."""
+    """The rays of a pattern, the target on which they are cast, and buffers of shape (rows, columns)."""
 
     grid: GridArrays
     """``RayGrid.arrays``."""
@@ -71,11 +72,11 @@ class ScanAgreement(NamedTuple):
     agreeing: int
     """Number of returns that the predicted face explains better than clutter does."""
     inconsistent: int
-    """Number of all other returns, but the grazing ones."""
+    """Number of all other returns except the grazing ones."""
     grazing: int
-    """Number of returns whose rays pass the target, and whose beams meet it."""
+    """Number of returns whose rays pass the target while the edges of their beams meet it."""
     missing: float
-    """Number of rays that meet a face and gave no return, above the number expected for their echoes."""
+    """Number of rays that meet a face and gave no return, beyond the number expected for their echoes."""
 
     @property
     def share(self) -> float:
@@ -85,7 +86,7 @@ class ScanAgreement(NamedTuple):
 
 
 class ScanStatistics(NamedTuple):
-    """Agreement of a scan with a pose, and what the pose predicts of it."""
+    """Agreement of a scan with a pose, and the expected log likelihood if the pose is right."""
 
     agreement: ScanAgreement
     """Agreement of the scan with the pose."""
@@ -96,16 +97,16 @@ class ScanStatistics(NamedTuple):
 
 
 class RaySums(NamedTuple):
-    """Sums over the rays of a scan at a pose, those of rays that meet a face by their echo."""
+    """Sums over the rays of a scan at a pose; arrays have one entry for each step of the echo."""
 
     log_density: float
     """Sum of the logarithms of the returns' densities, relative to an empty sky."""
     agreeing: int
     """Number of returns that the predicted face explains better than clutter does."""
     inconsistent: int
-    """Number of all other returns, but the grazing ones."""
+    """Number of all other returns except the grazing ones."""
     grazing: int
-    """Number of returns whose rays pass the target, and whose beams meet it."""
+    """Number of returns whose rays pass the target while the edges of their beams meet it."""
     met: FloatArray
     """Number of rays that meet a face, shape (RUNGS,)."""
     returned: FloatArray
@@ -113,11 +114,11 @@ class RaySums(NamedTuple):
     missing: FloatArray
     """Number of rays that meet a face and gave no return, shape (RUNGS,)."""
     log_variance: FloatArray
-    """Sums of the logarithm of a range error's variance, m2, and of its square, shape (2, RUNGS)."""
+    """Sums of the logarithm of the range variance, in m2, and of this logarithm's square, (2, RUNGS)."""
 
 
 class Beams(NamedTuple):
-    """Where the beams of a scan come from."""
+    """Data for casting the edges of a scan's beams at a pose."""
 
     R: FloatArray
     """R_sensor_target, shape (3, 3)."""
@@ -126,14 +127,14 @@ class Beams(NamedTuple):
     variance_m2: float
     """Variance of a range."""
     waiting: Waiting
-    """Memory for the casting of a ray."""
+    """Work memory for casting a ray."""
 
 
 @kernel
 def scan_statistics(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanStatistics:
-    """Return the statistics of a scan at a pose R, t of the target in the sensor.
+    """Return the statistics of a scan at a pose.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
@@ -157,7 +158,7 @@ def scan_statistics(
 def scan_agreement(
     range_m: FloatArray, R: FloatArray, t: FloatArray, rays: Rays, assumed: Assumptions
 ) -> ScanAgreement:
-    """Return the part of ``scan_statistics`` that needs no expectation; arguments and shapes as there."""
+    """Return the agreement of ``scan_statistics`` without the expectation; arguments as there."""
     cast_faces(rays.grid, rays.faces, R, t, RenderBuffers(rays.range_m, rays.face))
     sums = _ray_sums(range_m, PoseArrays(R, t), rays, assumed, False)
     evidence, power = _detected(sums.returned, sums.missing, assumed.detection)
@@ -170,7 +171,7 @@ def scan_agreement(
 def rendered_likelihood(
     range_m: FloatArray, pose: PoseArrays, rays: Rays, assumed: Assumptions
 ) -> tuple[float, int]:
-    """Return a scan's log likelihood at a rendered pose, and the likeliest index in ``detection.HALVES``.
+    """Return a scan's log likelihood at a rendered pose, and the index of the likeliest ``HALVES`` value.
 
     Args:
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
@@ -247,7 +248,7 @@ def _ray_sums(
 
 @inlined_kernel
 def _beams(pose: PoseArrays, variance_m2: float) -> Beams:
-    """Return what it needs to turn the beams of a scan at a pose, whose ranges have a variance."""
+    """Return the data for casting the edges of beams at a pose, with the variance of a range."""
     origin = np.empty(3)
     for k in range(3):
         origin[k] = -(pose.R[0, k] * pose.t[0] + pose.R[1, k] * pose.t[1] + pose.R[2, k] * pose.t[2])
@@ -256,18 +257,18 @@ def _beams(pose: PoseArrays, variance_m2: float) -> Beams:
 
 @inlined_kernel
 def _at_edge(m: float, i: int, j: int, rays: Rays, beams: Beams) -> float:
-    """Return the density of a range whose ray passes the target, and whose beam may meet it by its edge.
+    """Return the density of a range whose ray passes the target, while the edge of its beam may meet it.
 
-    The ray is turned by half a beam towards each of its neighbours. Whether the part of the beam that then
-    meets the target gives a return is not known: the probability is a half. The surface may be turned by 45
-    deg.
+    The ray is turned by half a beam towards each of its neighbours. It is unknown whether the part of the
+    beam that then meets the target gives a return: a probability of a half is assumed. The surface is assumed
+    to be inclined by up to 45 deg.
 
     Args:
         m: measured range.
         i: row of the ray.
         j: column of the ray.
         rays: rays, target and buffers, which hold the target rendered at the pose.
-        beams: where the beams come from.
+        beams: data for casting.
     """
     density, grid = 0.0, rays.grid.components
     x, y, z = grid[0, i, j], grid[1, i, j], grid[2, i, j]
@@ -288,9 +289,9 @@ def _at_edge(m: float, i: int, j: int, rays: Rays, beams: Beams) -> float:
 
 @inner_kernel
 def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -> tuple[float, int]:
-    """Return the log mean likelihood of the detections over ``HALVES``, and the index of the likeliest one.
+    """Return the log of the mean likelihood of the detections over ``HALVES``, and the likeliest index.
 
-    A return that clutter explains better than the face does is not counted as detected.
+    A return that clutter explains better than the face does counts neither as detected nor as missing.
 
     Args:
         returned: number of agreeing returns, by echo, shape (RUNGS,).
@@ -309,12 +310,12 @@ def _detected(returned: FloatArray, missing: FloatArray, detection: Detection) -
 
 @inner_kernel
 def _expectation(sums: RaySums, assumed: Assumptions, power: int) -> tuple[float, float]:
-    """Return mean and variance of the log likelihood over the scans that the pose predicts.
+    """Return mean and variance of the log likelihood over scans, if the pose is right.
 
-    A ray whose return has the probability p adds p h + (1 - p) m to the mean and p (1 - p) (h - m)^2 + p v to
-    the variance. Here m is the log likelihood of no return, and h that of a return on average, a - s / 2,
-    with the logarithm s of its error's variance; v is ``HIT_VARIANCE``. The sums of s and s^2 over the rays
-    of one echo give both.
+    A ray that gives a return with the probability p adds p h + (1 - p) m to the mean, and
+    p (1 - p) (h - m)^2 + p v to the variance. m is the log likelihood of no return. h is the mean log
+    likelihood of a return, a - s / 2, where s is the logarithm of its error's variance. v is
+    ``HIT_VARIANCE``. For the rays of one echo, both follow from the sums of s and s^2.
     """
     log_clear, mean, variance = np.log(1.0 - assumed.clutter_share), 0.0, 0.0
     share, log_share, log_missing = assumed.detection
@@ -330,10 +331,10 @@ def _expectation(sums: RaySums, assumed: Assumptions, power: int) -> tuple[float
 
 @inner_kernel
 def _missing(sums: RaySums, share: FloatArray) -> float:
-    """Return the number of returns that are missing, above the expected number.
+    """Return the number of missing returns beyond the expected number.
 
-    Missing returns are counted separately for each echo: no sensor misses bright surfaces and detects dark
-    ones. The number at each echo is reduced by one standard deviation.
+    Missing returns are counted separately for each echo, since no sensor misses bright surfaces and detects
+    dark ones. The number at each echo is reduced by one standard deviation.
 
     Args:
         sums: sums over the rays.

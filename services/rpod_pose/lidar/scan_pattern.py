@@ -20,7 +20,7 @@ class ScanPattern:
     sigma_range_m: float = 0.0
     """Standard deviation of a range; 0 if the sensor does not state it."""
     row_azimuth_rad: FloatArray | None = None
-    """Azimuth that each row adds to those of the columns, shape (rows,); None if it is 0."""
+    """Azimuth that is added in each row to those of the columns, shape (rows,); None if it is 0."""
 
     @property
     def grid(self) -> RayGrid:

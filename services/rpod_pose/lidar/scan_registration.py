@@ -1,12 +1,11 @@
 """Registration of a scan in one call: alignment with the target, and how well the pose explains the scan.
 
-The ranges are aligned with the target's faces first. Where they leave a motion less determined than the
-outline can, or where the scan is less likely than the pose itself expects, the outline is used too
-(``outline``): the pose becomes the mean, and the information that of the posterior by all rays, returns and
-misses alike.
+First the ranges are aligned with the target's faces. The outline is used too (``outline``) in two cases: it
+can determine a direction better than the faces do, or the scan is less likely than the pose predicts. Then
+pose and information are those of the posterior from all rays, with returns or without.
 
-Python takes about a microsecond for each array that it gives to a kernel. These kernels therefore do in one
-call what belongs together.
+Python takes about a microsecond to pass an array to a kernel. Therefore these kernels do in one call what
+belongs together.
 """
 
 from math import sqrt
@@ -44,32 +43,32 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ProjectiveIcpConfig
 
 ROUNDS = 5
-"""Largest number of times that the outline is found anew. Numerics: a budget; a round that moves the outline
-by less than ``STRAIGHT`` is the last."""
+"""Largest number of rounds in which the outline is found again. Numerics: a budget; a round that moves the
+outline by less than ``STRAIGHT`` is the last one."""
 STRAIGHT = 0.125
-"""Motion of the outline, in units of the rays' distance, up to which it stays on the lines found. Hand: a
-greater one ends the rounds earlier."""
+"""Largest motion of the outline, over the distance of neighbouring rays, at which it counts as a straight
+line. Hand: a larger one ends the rounds earlier."""
 STRETCH = 3.0
-"""Factor on the standard deviations of a pose from which its neighbourhood is sampled. Numerics: the first
-samples must be wider than the posterior; later rounds narrow them."""
+"""Factor on the standard deviations of a pose near which samples are drawn. Numerics: the first samples must
+be wider than the posterior; later rounds narrow them."""
 RESUMED = 4
-"""Largest number of times that the surroundings of a pose are sampled. Numerics: a budget of computation."""
+"""Largest number of times that poses near a registration are sampled. Numerics: a budget of computation."""
 CHANCE = 3.0
-"""Drop of the log likelihood from the greatest to that of a typical right pose. Physics: half of the mean of
-a chi-square variable, for six unknowns."""
+"""Decrease of the log likelihood from the optimum to a typical right pose. Physics: half of the mean of a
+chi-square variable, for six unknowns."""
 
 
 class Reach(NamedTuple):
-    """Limits of predictions, and the resolution of the outline: the rays and the target's size."""
+    """Limits of a tracker: errors of its predictions, and the accuracy of the outline."""
 
     near_share: float
-    """Share of agreeing rays from which a prediction counts as close."""
+    """Least share of agreeing rays at which a prediction counts as close."""
     spacing_rad: float
     """Angle between neighbouring rays."""
     radius_m: float
     """Distance of the target's farthest point from its origin."""
     surplus: float
-    """Excess of the actual over the expected log likelihood for each return, if a pose is surely right."""
+    """Least excess of the actual over the expected log likelihood for each return, at a surely right pose."""
 
 
 class ScanRegistration(NamedTuple):
@@ -78,35 +77,35 @@ class ScanRegistration(NamedTuple):
     pose: PoseArrays
     """Pose of the target in the sensor."""
     faces: FaceFit
-    """Alignment with the faces; its pose is another one if it was refused."""
+    """Alignment with the faces; its pose differs from ``pose`` if it was refused."""
     information: FloatArray
-    """Information about (dtau, dtheta) at the pose, by the ranges and the outline, shape (6, 6)."""
+    """Information matrix of (dtau, dtheta) at the pose, from ranges and outline, shape (6, 6)."""
     statistics: ScanStatistics
     """Statistics of the scan at the pose."""
     converged: bool
-    """Whether the last step was so short that the outline is straight along it; True without the outline."""
+    """Whether the last step moved the outline by less than ``STRAIGHT``; True if the outline is not used."""
 
 
 def reach_of(view: ScanView, config: ProjectiveIcpConfig, radius_m: float) -> Reach:
-    """Return the reach of a tracker with a scan pattern, for a target of a radius, m."""
+    """Return the limits of a tracker with a scan pattern, for a target of a given radius, m."""
     spacing = max(spacing_rad(view.azimuth_rad), spacing_rad(view.elevation_rad))
     return Reach(config.tuning.near_share, spacing, radius_m, config.tuning.sure_surplus)
 
 
 def is_sure(found: ScanRegistration, returns: int, reach: Reach) -> bool:
-    """Return whether a registration converged to a pose at which its scan is as likely as at a right one."""
+    """Return whether a registration converged, and its scan is as likely as at a right pose."""
     return found.converged and bool(_deficit(found) <= -reach.surplus * returns)
 
 
 def neighbourhood(
     information: FloatArray, pose: PoseArrays, reach: Reach, *, stretch: float = STRETCH
 ) -> FloatArray:
-    """Return a covariance of (dtau, dtheta), (6, 6), that reaches the optima beside the one at a pose.
+    """Return a covariance of (dtau, dtheta), shape (6, 6), that covers neighbouring optima of a pose.
 
     Args:
-        information: information about (dtau, dtheta) at the pose, shape (6, 6).
+        information: information matrix of (dtau, dtheta) at the pose, shape (6, 6).
         pose: pose of the target in the sensor.
-        reach: no optimum moves a point farther than to the next ray.
+        reach: limits; a neighbouring optimum moves no point farther than to the next ray.
         stretch: factor on the standard deviations; 1 for those of the pose.
     """
     held = np.diag(_held(pose, reach))
@@ -133,7 +132,7 @@ def aligned(
 
 @inner_kernel
 def _of_faces(problem: FaceProblem, fit: FaceFit) -> FloatArray:
-    """Return the information of an alignment with the faces, for the residuals' actual variance, (6, 6)."""
+    """Return the information of an alignment with the faces, for the actual variance of residuals, (6, 6)."""
     return fit.information / excess(fit.squares_m2, fit.inliers, problem.errors.sigma_m)
 
 
@@ -142,19 +141,20 @@ def refined(
 ) -> ScanRegistration:
     """Return the registration from a pose that is close to the solution.
 
-    The faces alone may move a pose that agrees with the outline away from it. The start is then kept.
+    The alignment with the faces may move a pose away from the outline with which it agrees. Then the start is
+    kept.
 
     Args:
         problem: all returns and the target.
         start: pose of the target in the sensor.
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         assumed: statistics of returns.
-        reach: what the outline can tell.
+        reach: limits of the tracker.
     """
     nothing = np.empty(0)
     far = FieldProblem(Points(problem.points_m, nothing), problem.field, nothing)
-    # Each start counts as close, so that the distance field is not used. A kernel of its own for this would
-    # hold all that ``tracked`` holds, and would take as long to compile.
+    # With near_share 0 each start counts as close, so that the distance field is not used. A separate kernel
+    # would contain all of ``tracked`` and take as long to compile.
     return tracked(far, problem, start, range_m, assumed, reach._replace(near_share=0.0))
 
 
@@ -167,18 +167,18 @@ def tracked(  # noqa: PLR0917
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return ``refined`` from a predicted pose.
+    """Return the registration from a predicted pose.
 
     If the prediction is far off, it is also aligned in the distance field first, and the likelier result is
     returned.
 
     Args:
-        far: some of the returns, the target's distance field, and the scales of the first steps.
+        far: some of the returns, the target's distance field, and the Geman-McClure scales of its steps.
         problem: all returns and the target.
         start: predicted pose of the target in the sensor.
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         assumed: statistics of returns.
-        reach: how far the prediction may be off.
+        reach: limits of the tracker.
     """
     there = scan_agreement(range_m, start.R, start.t, _rays(problem), assumed)
     found = _refined(problem, start, there.log_likelihood, range_m, assumed)
@@ -205,15 +205,15 @@ def _better_by_outline(  # noqa: PLR0917
     assumed: Assumptions,
     reach: Reach,
 ) -> ScanRegistration:
-    """Return the best registration so far, or one by the outline from another pose if that is better.
+    """Return the best registration so far, or one with the outline from another pose if that is better.
 
     Args:
-        best: best registration so far, by the outline.
-        other: registration by the faces alone.
+        best: best registration so far, with the outline.
+        other: registration with the faces alone.
         problem: all returns and the target.
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         assumed: statistics of returns.
-        reach: what the outline can tell.
+        reach: limits of the tracker.
     """
     likely = other.statistics.agreement.log_likelihood >= best.statistics.agreement.log_likelihood - CHANCE
     if _is_unexplained(best) or (likely and not _are_alike(best.pose, other.pose, reach)):
@@ -234,8 +234,8 @@ def _more_likely(best: ScanRegistration, other: ScanRegistration) -> ScanRegistr
 def _is_unexplained(found: ScanRegistration) -> bool:
     """Return whether there is a return that no face explains.
 
-    It is clutter, or the pose has slid along faces until a few returns met a wrong one beside an outline.
-    The information does not tell the latter, since the wrong ones are in it.
+    Either it is clutter, or the pose has moved along faces until a few returns were assigned to wrong faces
+    beside an outline. The information does not show the second case, since it contains these returns.
     """
     agreement = found.statistics.agreement
     return bool(agreement.inconsistent + agreement.grazing > 0)
@@ -251,7 +251,7 @@ def _are_alike(one: PoseArrays, other: PoseArrays, reach: Reach) -> bool:
 
 @inner_kernel
 def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) -> bool:
-    """Return whether the pose is surely right, and the faces determine it as well as the outline could."""
+    """Return whether the pose is surely right, and determined by the faces as well as by the outline."""
     returns = problem.points_m.shape[0]
     likely = _deficit(found) <= -reach.surplus * returns
     finite = np.isfinite(found.information).all()
@@ -260,16 +260,17 @@ def _is_sufficient(found: ScanRegistration, problem: FaceProblem, reach: Reach) 
 
 @inlined_kernel
 def _deficit(found: ScanRegistration) -> float:
-    """Return by how much the scan is less likely than the pose expects."""
+    """Return the expected minus the actual log likelihood of the scan."""
     return found.statistics.expected - found.statistics.agreement.log_likelihood
 
 
 @inner_kernel
 def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
-    """Return whether the faces determine all motions better than the outline could.
+    """Return whether the faces determine all directions better than the outline could.
 
-    About 4 sqrt(returns) rays are beside an outline. Each place of it is bounded by two of them, in a strip
-    of the rays' distance, and the narrowest of n strips is the n-th part of one.
+    About 4 sqrt(returns) rays are beside the outline. Two of them bound each place of the outline within a
+    strip whose width is the distance of neighbouring rays. With n places, the outline is known to about the
+    n-th part of this width.
     """
     pose, strip_m = found.pose, reach.spacing_rad * sqrt((found.pose.t**2).sum())
     limit_m = strip_m / (2.0 * sqrt(max(returns, 1)))
@@ -282,7 +283,7 @@ def _determined(found: ScanRegistration, returns: int, reach: Reach) -> bool:
 
 @inner_kernel
 def _farthest(steps: Steps, step: FloatArray) -> float:
-    """Return how far a step (dtau, dtheta), shape (6,), moves the outline beside any ray, m."""
+    """Return the largest motion of the outline, m, beside any ray in a step (dtau, dtheta), shape (6,)."""
     farthest = 0.0
     for e in range(steps.number):
         moved = 0.0
@@ -294,7 +295,7 @@ def _farthest(steps: Steps, step: FloatArray) -> float:
 
 @kernel
 def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
-    """Return the information that a step (dtau, dtheta) moves no point farther than to the next ray, (6,)."""
+    """Return the prior information that no point moves farther than to the next ray in a step, shape (6,)."""
     held, strip_m = np.empty(6), max(reach.spacing_rad * sqrt((pose.t**2).sum()), 1e-6 * reach.radius_m)
     held[:3] = strip_m**-2
     held[3:] = (strip_m / reach.radius_m) ** -2
@@ -305,14 +306,14 @@ def _held(pose: PoseArrays, reach: Reach) -> FloatArray:
 def outline_mean(
     problem: FaceProblem, start: PoseArrays, range_m: FloatArray, assumed: Assumptions, reach: Reach
 ) -> ScanRegistration:
-    """Return the mean of the pose by ranges and outline, near a given pose; arguments as for ``refined``."""
+    """Return the posterior mean of the pose from ranges and outline near a pose; arguments as ``refined``."""
     rays, pose, information = _rays(problem), start, np.zeros((6, 6))
     inliers, squares, likelihood, kept, step, converged = 0, 0.0, -np.inf, start, np.zeros(6), False
     straight_m = STRAIGHT * reach.spacing_rad * sqrt((start.t**2).sum())
     for number in range(ROUNDS):
         cast_faces(rays.grid, rays.faces, pose.R, pose.t, problem.buffers)
         here, power = rendered_likelihood(range_m, pose, rays, assumed)
-        if here < likelihood - CHANCE:  # the outline is not straight so far
+        if here < likelihood - CHANCE:  # the outline is not straight over such a long step
             step *= 0.5
             pose = stepped(kept, step)
             continue

@@ -36,44 +36,46 @@ from rpod_schemas.types import Float32Array
 
 FIELD_SIGMAS = 6.0
 """Least Geman-McClure scale of the steps in the distance field, in standard deviations of a range. Hand:
-narrower steps, to the faces, follow."""
+narrower steps to the faces follow."""
 FACE_SIGMAS = np.array([20.0, 12.0, 8.0])
-"""Geman-McClure scales of a candidate's steps to the faces, in the same unit. Numerics: the steps narrow from
-wide, which converges from farther, to close."""
+"""Geman-McClure scales of a candidate's steps to the faces, in standard deviations of a range. Numerics: the
+wide scales converge from farther, the narrow ones are more accurate."""
 FINE_SIGMAS = np.array([8.0, 4.0, 4.0])
-"""Geman-McClure scales of the last steps, for the best candidates, in the same unit. Numerics: they continue
-``FACE_SIGMAS`` down to four standard deviations."""
+"""Geman-McClure scales of the last steps, for the best candidates, in standard deviations of a range.
+Numerics: they continue ``FACE_SIGMAS`` down to four standard deviations."""
 HALFWAY = 4.0
-"""Greatest deficit per return of a pose that a refinement on the outline may still correct. Hand: a larger
+"""Largest deficit per return of a pose that a refinement on the outline may still correct. Hand: a larger
 value refines more wrong poses, a smaller one may miss a right one."""
 UNSETTLED = 0.1
-"""Share of its log likelihood that a pose may lack because its alignment stopped beside the optimum. Hand: a
-larger value samples the surroundings of more poses, a smaller one may miss a rival."""
+"""Largest share of its log likelihood that a pose may lack because its alignment stopped before the optimum.
+Hand: a larger value samples near more poses, a smaller one may miss a rival."""
 ABSORBED = 22.5
-"""Squared distance of a pose from the mean of another's posterior, in its standard deviations, up to which it
-belongs to it. Physics: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
+"""Largest squared distance, in standard deviations, of a pose that belongs to the posterior of another one.
+Physics: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
 OF_NOTHING_RAD = np.deg2rad(104.0)
-"""Standard deviation of an angle of which nothing is known. Physics: 360 deg over sqrt(12)."""
+"""Standard deviation of an unknown angle. Physics: 360 deg over sqrt(12)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose of the target in the sensor, with its fit to the scan."""
+    """A pose of the target relative to the sensor, with its fit to the scan."""
 
     R: FloatArray
+    """R_sensor_target, shape (3, 3)."""
     t: FloatArray
+    """Position of the target's origin, sensor axes, shape (3,), m."""
     fit: ScanFit
     information: FloatArray
-    """Information about (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
+    """Information matrix of (dtau, dtheta) as in ``normal_equations``, shape (6, 6)."""
     sampled_mass: float | None = None
-    """Logarithm of the integral of the likelihood near the pose, by samples; None if it was not sampled."""
+    """Logarithm of the integral of the likelihood near the pose, from samples; None if it was not sampled."""
 
     def log_mass(self, radius_m: float) -> float:
-        """Return the logarithm of the integral of the likelihood near the pose: its share of the posterior.
+        """Return the logarithm of the integral of the likelihood near the pose: its posterior mass.
 
         Without samples it is the log likelihood plus the logarithm of the volume of the uncertainty
-        (Laplace's method): of two poses that explain a scan equally well, the one with the larger uncertainty
-        is more probable.
+        (Laplace's method). So if two poses explain a scan equally well, the more uncertain one is more
+        probable.
 
         Args:
             radius_m: distance of the target's farthest point from its origin.
@@ -87,7 +89,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Scanner:
-    """The rays of every few rows and columns of a pattern, with their statistics."""
+    """The rays of every ``stride``-th row and column of a pattern, with the statistics of their scans."""
 
     view: ScanView
     distances: ReturnDistances
@@ -121,7 +123,7 @@ class Model:
 
 
 class ScanSearch:
-    """Searches one scan."""
+    """Searches one scan; ``truncation_m`` is the distance at which the energy of a point is truncated."""
 
     def __init__(
         self,
@@ -142,7 +144,7 @@ class ScanSearch:
             truncated=seen.cut_off,
         )
         strip_m = scanner.reach.spacing_rad * float(np.linalg.norm(self._comparison.centroid_m))
-        self._is_fine = strip_m < scanner.statistics.sigma_range_m  # the outline tells more than the ranges
+        self._is_fine = strip_m < scanner.statistics.sigma_range_m  # the outline is more accurate than ranges
         self._few = Points.equal(seen.downsampled(self._tuning.coarse_points))
         sigma_m = scanner.statistics.sigma_range_m
         least_m = FIELD_SIGMAS * sigma_m
@@ -150,20 +152,20 @@ class ScanSearch:
         self._far_m = np.geomspace(widest_m, least_m, self._tuning.coarse_steps)
         self._rough_m, self._fine_m = FACE_SIGMAS * sigma_m, FINE_SIGMAS * sigma_m
         self.few = self._is_fine or self.informative < self._tuning.sufficient_returns
-        """Whether several poses near the best one may be as likely: the returns are few, or tell little, or
-        the best pose was not settled after its alignment."""
+        """Whether several poses near the best one may be as likely, because the returns are few, give little
+        information, or the best pose was not at an optimum after its alignment."""
 
     @property
     def informative(self) -> float:
-        """Number of returns as ``ScanModel.informative`` counts it."""
+        """Number of informative returns, as ``ScanModel.informative`` defines it."""
         return self._scanner.statistics.informative(self.seen)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
-        """Return distinct poses, likeliest first; empty if the sensor sees the target at no attitude.
+        """Return distinct poses, likeliest first; empty if the target is in view at no attitude.
 
         Args:
             attitudes: initial R_sensor_target, shape (M, 3, 3).
-            level: how many of them are compared and refined.
+            level: numbers of attitudes that are compared and refined.
         """
         found: list[Pose] = []
         candidates = self._comparison.candidates(attitudes, compared=level.compared, refined=level.refined)
@@ -174,9 +176,9 @@ class ScanSearch:
         return self.completed(found, siblings=self._tuning.siblings)
 
     def completed(self, found: list[Pose], *, siblings: int) -> list[Pose]:
-        """Return distinct poses, likeliest first: the given ones, and those that they may be mistaken for.
+        """Return distinct poses, likeliest first: the given ones, and those with which they may be confused.
 
-        The near-symmetries of the best ``siblings`` poses have all been tried.
+        The near-symmetries of the best ``siblings`` poses are all tried.
         """
         tuning, turned = self._tuning, list[Pose]()
         found = list(found)
@@ -195,9 +197,9 @@ class ScanSearch:
         return self._outlined(finished) if len(self._likely(finished)) > 1 else finished
 
     def closed(self, ranked: list[Pose]) -> list[Pose]:
-        """Return the poses, likeliest first, and all turns of the best one, weighed by samples.
+        """Return the poses and all turns of the best one, likeliest first, with masses from samples.
 
-        This is for few returns, and for an alignment that was not settled.
+        This is for few returns, and for an alignment that stopped before an optimum.
         """
         self.few = True
         if not ranked:
@@ -216,14 +218,15 @@ class ScanSearch:
         return every
 
     def _outlined(self, ranked: list[Pose]) -> list[Pose]:
-        """Return poses, likeliest first; those about as likely as the first are refined on the outline."""
+        """Return poses, likeliest first; those about as likely as the best are refined on the outline."""
         likely = self._likely(ranked)
         return self._distinct([*map(self._outline_refined, likely), *ranked[len(likely) :]])
 
     def is_settled(self, registration: Registration, poses: Sequence[Pose]) -> bool:
-        """Return whether the best pose, as registered, is at an optimum and no other pose is about as likely.
+        """Return whether the registered best pose is at an optimum and no other pose is about as likely.
 
-        Alignments that stop at different distances from their optima do not compare.
+        Otherwise the likelihoods of the poses are not comparable, since their alignments stopped at different
+        distances from their optima.
         """
         if registration.T_sensor_target is None:
             return True
@@ -233,33 +236,33 @@ class ScanSearch:
         return len(self._likely(poses)) == 1 and self._scanner.statistics.is_settled(self.seen, pose, spread)
 
     def ranked(self, poses: Sequence[Pose]) -> list[Pose]:
-        """Return poses by their share of the posterior, without those in the posterior near the best one."""
+        """Return poses by falling posterior mass, without those that belong to the posterior of the best."""
         best, *others = sorted(poses, key=lambda pose: -pose.log_mass(self._scanner.reach.radius_m))
         steps = [step_between(pose_of(best.R, best.t), pose_of(other.R, other.t)) for other in others]
         near = [step @ best.information @ step <= ABSORBED for step in steps]
         return [best, *(other for other, inside in zip(others, near, strict=True) if not inside)]
 
     def sampled_near(self, pose: PoseArrays) -> Pose:
-        """Return the pose by samples of the posterior near a given one."""
+        """Return the posterior mean near a pose, from samples."""
         return self._polished(self._unrefined(pose.R, pose.t))
 
     def _polished(self, pose: Pose) -> Pose:
-        """Return a pose refined on the outline, and then by samples of the posterior, once."""
+        """Return a pose refined on the outline and then by samples of the posterior, unless it is already."""
         return pose if pose.sampled_mass is not None else self._sampled(self._outline_refined(pose))
 
     def _likely(self, ranked: Sequence[Pose], gain: float = 0.0) -> list[Pose]:
-        """Return the poses about as likely as the first, of poses with the likeliest first.
+        """Return the poses that are about as likely as the best one.
 
         Args:
-            ranked: the poses.
-            gain: log likelihood that the first has gained by a refinement that the others have not had.
+            ranked: the poses, likeliest first.
+            gain: log likelihood that the best has gained by a refinement that the others have not had.
         """
         most = max((pose.fit.log_likelihood for pose in ranked[:1]), default=0.0)
         least = most - max(self._tuning.rival_log_likelihood, UNSETTLED * most) - gain
         return [pose for pose in ranked if pose.fit.log_likelihood >= least]
 
     def _finished(self, pose: Pose) -> Pose:
-        """Return a pose fully refined, so that its near-symmetries start from an accurate pose."""
+        """Return a pose after full refinement, so that its near-symmetries start from an accurate pose."""
         pose = self._improved(pose, self._fine_m)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
         return self._outline_refined(pose) if halfway and not self.few else pose
@@ -272,7 +275,7 @@ class ScanSearch:
         )
 
     def are_close(self, pose: Pose, others: Sequence[Pose]) -> NDArray[np.bool_]:
-        """Return which others' attitudes are close to a pose's, modulo exact symmetries, shape (O,)."""
+        """Return which other attitudes are close to that of a pose, modulo exact symmetries, shape (O,)."""
         turns, limit_deg = self._model.turns, self._tuning.distinct_deg
         near: NDArray[np.bool_] = turns.close(matrices([pose]), matrices(others), limit_deg)[0]
         return near
@@ -320,7 +323,7 @@ class ScanSearch:
         return likely and not self._is_fine and self.informative >= self._tuning.sure_returns
 
     def _turned(self, pose: Pose, count: int) -> list[Pose]:
-        """Return a pose's near-symmetries and best other rotations, in place and aligned by the centroid."""
+        """Return a pose's near-symmetries and best other turns, at its position and at the centroid."""
         turns = self._model.turns
         if not len(turns.all):  # each of them is an exact symmetry, as of a cube
             return []
@@ -328,9 +331,9 @@ class ScanSearch:
         here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
         here = self._comparison.energies(turned, here_m, rounds=0)
         here[: turns.declared] = 0.0
-        anew, anew_m = self._comparison.centroid_aligned(turned)
-        energy = self._comparison.energies(anew, anew_m, rounds=2).reshape(len(turned), -1)
-        best_m = anew_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
+        centred, centred_m = self._comparison.centroid_aligned(turned)
+        energy = self._comparison.energies(centred, centred_m, rounds=2).reshape(len(turned), -1)
+        best_m = centred_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
             self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
@@ -342,9 +345,9 @@ class ScanSearch:
         ]
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a rough pose aligned with the scan: with the outline if its ranges lead away from it.
+        """Return a rough pose aligned with the ranges, or with the outline if this makes it less likely.
 
-        Ranges of a small target may be mostly noise, and an alignment by them alone then ends anywhere.
+        The ranges of a small target may be mostly noise, and an alignment by them alone may end anywhere.
         """
         rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
         moved, start = self.face_aligned(*rough, self._rough_m), self._unrefined(R, t)
@@ -353,7 +356,7 @@ class ScanSearch:
         return self._outline_refined(start)
 
     def _outline_refined(self, pose: Pose) -> Pose:
-        """Return a pose refined on the outline too; unchanged if no return lies on a ray of the pattern."""
+        """Return a pose refined on the outline too; unchanged if no return is on a ray of the pattern."""
         if not (self.seen.range_m > 0.0).any():  # all returns lie beside the pattern
             return pose
         scanner = self._scanner
@@ -367,7 +370,7 @@ class ScanSearch:
     def _sampled(self, pose: Pose) -> Pose:
         """Return the mean of the posterior near a pose, or the likeliest sample if the mean is unlikely.
 
-        While a sample is likelier, the pose is refined from there, and its surroundings are sampled anew.
+        While a sample is likelier than the pose, the pose is refined from there and sampled again.
         """
         if not (self.seen.range_m > 0.0).any():
             return pose
@@ -383,7 +386,7 @@ class ScanSearch:
         return Pose(*mean, ScanFit.of(fit), information, found.log_mass)
 
     def _posterior(self, pose: Pose) -> tuple[PoseArrays, SampledPosterior]:
-        """Return a pose and the posterior around it."""
+        """Return a pose and the posterior near it."""
         start = PoseArrays(pose.R, pose.t)
         rough = neighbourhood(pose.information, start, self._scanner.reach)
         return start, self._scanner.statistics.posterior(self.seen, start, rough)

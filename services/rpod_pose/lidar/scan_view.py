@@ -1,4 +1,4 @@
-"""A scan assigned to the rays of its pattern, as the kernels take it."""
+"""Assignment of a scan's returns to the rays of its pattern."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,24 +14,25 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array, LidarScan
 
 FARTHEST_M = 1e5
-"""Greatest valid range; no LIDAR measures 100 km. Physics: the least one is ``NEAREST_M``, because many
-sensors send a point in their origin for a ray without a return."""
+"""Largest valid range. Physics: no LIDAR measures 100 km. The least valid range is ``NEAREST_M``, because
+many sensors send a point at their origin for a ray without a return."""
 
 MOST = 0.9
-"""Share of the returns that are as near to their rays as the next two values say. Numerics: a few strays."""
+"""Share of the returns whose distance from their rays is compared with ``ON`` and ``BESIDE``. Numerics: the
+others may be strays."""
 ON = 0.005
-"""Distance of returns from their rays, in steps, up to which the rays are the pattern's. Numerics: on a face
-at 45 deg, 20 m away, a range then differs by 2 mm with steps of 1 deg."""
+"""Largest distance of returns from their rays, in steps of the pattern, at which the pattern's own rays are
+used. Numerics: on a face at 45 deg, 20 m away, a range then differs by 2 mm with steps of 1 deg."""
 BESIDE = 0.1
-"""Distance, in steps, from which on the rays of an unorganised scan are not the pattern's. Numerics: of
-returns at random 4 % are nearer."""
+"""Largest distance, in steps of the pattern, at which an unorganised scan has the pattern's rays. Numerics:
+of random returns, 4 % are nearer."""
 
 _FEW = 0.5
-"""Share of the returns that rows and columns would have on average, below which others are taken. Numerics:
-neighbouring rows of a pattern differ by less."""
+"""Least share of the average number of returns in the chosen rows and columns; with fewer, others are chosen.
+Numerics: neighbouring rows of a pattern differ by less."""
 
 HIDDEN_M = np.inf
-"""Coordinates of a return from something that hides the target; its ray then tells nothing of the target."""
+"""Coordinates of a return from a thing that hides the target; its ray gives no information on the target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +44,10 @@ class SeenScan:
     rays: NDArray[np.int64]
     """Row-major index of each point's ray, shape (N,); -1 for a point outside the pattern."""
     range_m: FloatArray
-    """Measured range of each ray, shape (rows, columns), 0 without a return, negative if it is not known
-    whether there was one, as where something hides the target."""
+    """Measured range of each ray, shape (rows, columns): 0 without a return, negative if a return is unknown,
+    for example because something hides the target."""
     grid: RayGrid
-    """The rays: those of the pattern, or through the returns if these lie beside them."""
+    """The rays: those of the pattern, or rays through the returns if the returns lie beside them."""
 
     @property
     def returns(self) -> int:
@@ -55,11 +56,11 @@ class SeenScan:
 
     @property
     def cut_off(self) -> bool:
-        """Whether the outermost measured rays have returns: the target may extend beyond them."""
+        """Whether the outermost measured rays have returns, so that the target may extend beyond them."""
         return _ends_return(self.range_m) or _ends_return(self.range_m.T)
 
     def downsampled(self, count: int) -> FloatArray:
-        """Return about ``count`` of the points, evenly taken, shape (n, 3)."""
+        """Return about ``count`` of the points, evenly distributed over the scan, shape (n, 3)."""
         return np.ascontiguousarray(self.points_m[:: max(1, round(self.returns / count))])
 
     def around(self, radius_m: float) -> "SeenScan":
@@ -73,9 +74,9 @@ class SeenScan:
         return SeenScan(self.points_m[near], self.rays[near], image, self.grid)
 
     def first(self, stride: int) -> tuple[int, int]:
-        """Return the row and the column with which ``every`` begins: others where these have few returns.
+        """Return the row and the column at which ``every`` begins: 0, 0 unless it would have few returns.
 
-        Rows that the sensor does not have may be every second one.
+        For example, a pattern may state rows that the sensor does not have, such as every second one.
         """
         row, column = np.divmod(self.rays[self.rays >= 0], self.range_m.shape[1])
         counts = np.bincount(row % stride * stride + column % stride, minlength=stride * stride)
@@ -83,7 +84,7 @@ class SeenScan:
         return best // stride, best % stride
 
     def every(self, stride: int, first: tuple[int, int] = (0, 0)) -> "SeenScan":
-        """Return the returns in every ``stride``-th row and column of the pattern, from the first ones on."""
+        """Return the returns in every ``stride``-th row and column of the pattern, beginning at ``first``."""
         row, column = np.divmod(self.rays, self.range_m.shape[1])
         row, column = row - first[0], column - first[1]
         kept = (self.rays >= 0) & (row % stride == 0) & (column % stride == 0)
@@ -98,11 +99,15 @@ class ScanView:
     """The rays of a scan pattern."""
 
     azimuth_rad: FloatArray
+    """As in ``ScanPattern``, shape (columns,)."""
     elevation_rad: FloatArray
+    """As in ``ScanPattern``, shape (rows,)."""
     row_azimuth_rad: FloatArray | None
+    """As in ``ScanPattern``, shape (rows,)."""
     grid: RayGrid
+    """Rays of the pattern, shape (rows, columns)."""
     hits: Hits
-    """Buffers that the kernels cast into."""
+    """Buffers for the results of casting the rays."""
 
     @classmethod
     def of(
@@ -118,7 +123,7 @@ class ScanView:
         return self.elevation_rad.size, self.azimuth_rad.size
 
     def every(self, stride: int, first: tuple[int, int] = (0, 0)) -> "ScanView":
-        """Return the view of every ``stride``-th row and column, from the first ones on."""
+        """Return the view of every ``stride``-th row and column, beginning at ``first``."""
         rows, columns = slice(first[0], None, stride), slice(first[1], None, stride)
         aside_rad = None if self.row_azimuth_rad is None else self.row_azimuth_rad[rows].copy()
         return ScanView.of(self.azimuth_rad[columns].copy(), self.elevation_rad[rows].copy(), aside_rad)
@@ -126,9 +131,9 @@ class ScanView:
     def seen(self, scan: LidarScan) -> SeenScan:
         """Return a scan's returns with their rays; returns of an unorganised scan get the nearest rays.
 
-        Returns that lie beside the rays of the pattern are rays themselves: those of a scan that was
-        de-skewed, or that never repeats. Whether the sensor looked beside a return of the latter is not
-        known.
+        If returns lie beside the rays of the pattern, rays through the returns are used. This is so in a
+        scan that was de-skewed, and in one whose pattern never repeats. For the second kind it is unknown
+        whether the sensor measured beside a return.
         """
         points_m, places, range_m = returns_of(np.ascontiguousarray(scan.points_m.reshape(-1, 3)))
         organised = scan.points_m.shape[:-1] == self.shape
@@ -160,7 +165,12 @@ class ScanView:
         return np.where(beside | above, -1, row * self.azimuth_rad.size + column)
 
     def _off(self, directions: FloatArray, rays: NDArray[np.int64]) -> float:
-        """Return how far nearly all returns, as unit vectors, shape (N, 3), are from their rays, in steps."""
+        """Return the largest distance of the ``MOST`` nearest returns from their rays, in steps.
+
+        Args:
+            directions: unit vectors to the returns, sensor axes, shape (N, 3).
+            rays: their rays, -1 for none, shape (N,).
+        """
         known = rays >= 0
         last = int(MOST * np.count_nonzero(known)) - 1
         if last < 0:
@@ -173,12 +183,12 @@ class ScanView:
         return min(spacing_rad(self.azimuth_rad), spacing_rad(self.elevation_rad))
 
     def _through(self, points_m: FloatArray, rays: NDArray[np.int64], *, moved: bool) -> RayGrid:
-        """Return the grid with the rays of returns through them.
+        """Return the grid in which each ray with a return passes through this return.
 
         Args:
-            points_m: returns, shape (N, 3), m.
+            points_m: returns, sensor axes, shape (N, 3), m.
             rays: their rays, shape (N,), -1 for none.
-            moved: whether rays without a return are turned as those of the nearest returns.
+            moved: whether rays without a return are turned like those of the nearest returns.
         """
         components, known = self.grid.components.copy(), rays >= 0
         directions = points_m[known] / np.linalg.norm(points_m[known], axis=1, keepdims=True)
@@ -229,7 +239,7 @@ def range_image(rays: NDArray[np.int64], range_m: FloatArray, rows: int, columns
 
 @kernel
 def spread(rays: NDArray[np.int64], rows: int, columns: int) -> NDArray[np.int64]:
-    """Return rays of which as many as possible differ: a return whose ray is taken gets a free one beside it.
+    """Return rays with few duplicates: a return whose ray is occupied gets a free neighbouring ray.
 
     Args:
         rays: ray of each return, counted row by row, -1 for none, shape (N,).
@@ -255,12 +265,12 @@ def spread(rays: NDArray[np.int64], rows: int, columns: int) -> NDArray[np.int64
 
 
 def spacing_rad(angles_rad: FloatArray) -> float:
-    """Return the median step, rad, between the angles of columns or rows, (N,); 1 degree for a single one."""
+    """Return the median step, rad, of the angles of columns or rows, (N,); 1 degree for a single angle."""
     return float(np.median(np.abs(np.diff(angles_rad)))) if angles_rad.size > 1 else np.radians(1.0)
 
 
 def _ends_return(image: FloatArray) -> bool:
-    """Return whether the first or last ray of any row has a return, (rows, columns), negative if unknown."""
+    """Return whether the first or last known ray of any row of an image, (rows, columns), has a return."""
     known = image >= 0.0
     rows = np.flatnonzero(known.any(axis=1))
     first, last = known.argmax(axis=1), image.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
@@ -268,7 +278,7 @@ def _ends_return(image: FloatArray) -> bool:
 
 
 def _nearest(angles_rad: FloatArray, wanted_rad: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the index of the pattern's nearest angle, and whether it is farther away than one step."""
+    """Return the index of the pattern's nearest angle, and whether this is farther than one step."""
     order = np.argsort(angles_rad)
     middle = (angles_rad[order][1:] + angles_rad[order][:-1]) / 2.0
     index = order[np.searchsorted(middle, wanted_rad)]

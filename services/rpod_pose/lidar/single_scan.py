@@ -1,4 +1,4 @@
-"""The pose of a target in one scan, as a function: for notebooks and scripts."""
+"""The pose of a target in one scan by a single function, for notebooks and scripts."""
 
 from functools import lru_cache
 
@@ -13,10 +13,10 @@ from rpod_target import Target
 
 
 def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
-    """Find a target in one scan, without a guess, with the facility's own search.
+    """Return the pose of a target in one scan, found without a guess by the facility's own search.
 
     The first call for a target and a sensor prepares the search in about a second; later calls take
-    milliseconds. A service that configures the search holds a ``GlobalSearch`` instead.
+    milliseconds. A service that configures the search uses a ``GlobalSearch`` instead.
 
     Args:
         scan: the scan, organised in the sensor's rows and columns or not.

@@ -1,1 +1,1 @@
-"""The way from accepted poses to a state: navigator, filter, history of measurements, de-skewing."""
+"""From measured poses to a navigated state: navigator, filter, history of measurements, de-skewing."""

@@ -1,8 +1,8 @@
 """Believed poses that the filter's gate refuses: evidence against the prediction.
 
-Two of them in succession that agree with each other mean that the target has been accelerated: the track goes
-on at the second. If they lie so far off that no acceleration explains it, either they or the track may be
-wrong, and the track is lost after a while.
+Two of them in succession that agree with each other show that the target has been accelerated: the track is
+continued at the second one. If they are farther from the prediction than an acceleration can explain, either
+these poses or the track may be wrong. Then the track is lost after ``CONTESTED_S``.
 """
 
 from dataclasses import dataclass, replace
@@ -20,12 +20,12 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import pose_error
 
 EXPLAINED_DEG, EXPLAINED_M = 20.0, 0.5
-"""Greatest turn and way from a prediction to a pose that an accelerated target explains. Physics: 60 deg/s2
-and 3 m/s2 turn it by 7 deg and move it by 0.4 m in half a second, and attitudes that are mistaken for each
-other are farther apart."""
+"""Largest rotation and displacement from the prediction to a pose that an acceleration of the target can
+explain. Physics: 60 deg/s2 and 3 m/s2 turn it by 7 deg and move it by 0.4 m in half a second, and attitudes
+that are mistaken for each other are farther apart."""
 CONTESTED_S = 0.2
-"""Time of believed poses that agree on another attitude after which a track is lost. Hand: nine frames of a
-camera at 45 Hz; at a LIDAR's 1 Hz a second pose decides."""
+"""Time after which a track is lost if believed poses agree on another attitude. Hand: nine frames of a camera
+at 45 Hz; at a LIDAR's 1 Hz the second pose decides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Challenger:
 
 
 class Outcome(Enum):
-    """Outcome for the track that was challenged."""
+    """What becomes of the track that is challenged."""
 
     OPEN = "the prediction goes on"
     REPLACED = "the track goes on at the challenger"
@@ -63,10 +63,10 @@ def challenge(
     """Return the challenger after a believed pose that the gate refused, and its outcome.
 
     Args:
-        challenger: the one of earlier poses; None for the first.
-        predicted: the track's prediction of the pose.
+        challenger: challenger of the earlier poses; None for the first pose.
+        predicted: the track's prediction to the stamp of the pose.
         measured: the pose.
-        started: a filter that starts at the pose, whose twist is not known.
+        started: a filter that starts at the pose, with an unknown twist.
         config: the filter's configuration.
     """
     applied = None if challenger is None else apply(challenger.history, measured, config)

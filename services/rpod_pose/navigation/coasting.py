@@ -1,8 +1,8 @@
-"""A track without measurements is predicted until its covariance exceeds the alert limit; then it is lost.
+"""Coasting: a track without measurements is predicted, and is lost when its covariance exceeds a limit.
 
-The limit is that of the sensor whose frame the track has accepted last. Below it, the prediction is as good
-as the mission requires of an estimate. A time-out would not ensure this. A track with measurements goes on
-beyond the limit, but its estimates are published as not valid.
+The limit is the alert limit of the sensor whose frame the track accepted last. Below it, the prediction is as
+good as the mission requires of an estimate. A time-out would not ensure this. A track with measurements
+continues beyond the limit, but its estimates are published as not valid.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ from rpod_schemas.types import Mode
 
 
 class Coasting:
-    """Tells when a track coasts, and when it is lost.
+    """Decides when a track coasts, when it is lost, and whether its estimates are usable.
 
     Args:
         settings: settings of the estimator.
@@ -32,7 +32,7 @@ class Coasting:
         self._alerts = {sensor.name: sensor.alert_limit for sensor in settings.sensors}
 
     def aged(self, state: NavigatorState, stamp_ns: int) -> tuple[NavigatorState, str]:
-        """Return the state at a time without a new measurement, and the reason if it has changed."""
+        """Return the state at a stamp before a new measurement is applied, and the reason if it changes."""
         if not state.mode.has_track or state.history is None or self._is_supported(state, stamp_ns):
             return state, ""
         silent = f"no measurement was accepted for {unsupported_s(state.streams, stamp_ns):.2f} s"
@@ -51,10 +51,10 @@ class Coasting:
             unknown_s=self._limits.silence_timeout_s,
         )
 
-    def of_no_use(self, state: NavigatorState, stamp_ns: int) -> str:
+    def unusable(self, state: NavigatorState, stamp_ns: int) -> str:
         """Return how the covariance of the estimate at a stamp exceeds the alert limit; empty if it does not.
 
-        Of several sensors that support the track the greatest limit counts, as for the integrity.
+        If several sensors support the track, the largest of their limits counts, as for the integrity.
         """
         if not state.mode.has_track or state.history is None:
             return ""
@@ -65,8 +65,8 @@ class Coasting:
             for name, stream in state.streams.items()
             if stream.supports(stamp_ns, self._stale_after_s, self._limits.silence_timeout_s)
         ]
-        told = [_beyond(self._alerts[name], predicted) for name in names]
-        return told[0] if told and all(told) else ""
+        beyond = [_beyond(self._alerts[name], predicted) for name in names]
+        return beyond[0] if beyond and all(beyond) else ""
 
     def _beyond(self, state: NavigatorState, predicted: FilterState) -> str:
         alert = next((self._alerts[name] for name in supporters(state.streams)), AlertLimit())

@@ -1,4 +1,4 @@
-"""Decides about a track after a believed pose that the filter's gate refused."""
+"""Decision about a track after a believed pose that the filter's gate refused."""
 
 from dataclasses import replace
 
@@ -20,8 +20,8 @@ def challenged(
     """Return the state after a believed pose that the gate refused, and the outcome for the track.
 
     Args:
-        state: state before it.
-        predicted: the track's prediction of the pose.
+        state: state before this pose.
+        predicted: the track's prediction to the stamp of the pose.
         measured: the pose.
         started: a filter that starts at the pose.
         config: the filter's configuration.

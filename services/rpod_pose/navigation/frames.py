@@ -1,4 +1,4 @@
-"""A measurement between the sensor's axes and times, and those of the filter."""
+"""Conversion of measurements from a sensor's axes and times to those of the filter."""
 
 from math import inf
 
@@ -16,7 +16,7 @@ from rpod_schemas.types import SensorFrame
 
 
 def as_of_stamp(measurement: Measurement, predicted: FilterState, deskew: Deskew | None) -> SensorFrame:
-    """Return the frame as of its stamp: de-skewed with the predicted twist if the sensor kind needs it.
+    """Return the frame at its stamp: de-skewed with the predicted twist if the sensor kind needs it.
 
     Before the second frame the predicted twist is zero, and the frame stays as it is.
     """
@@ -41,7 +41,7 @@ def as_measured(
     Args:
         registration: a registration with a pose.
         event: the frame.
-        stream: frames of its sensor before; None where their errors do not matter.
+        stream: earlier frames of its sensor; None if errors that successive frames share do not matter.
     """
     return PoseMeasurement(
         event.stamp_ns,

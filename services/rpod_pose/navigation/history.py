@@ -26,12 +26,13 @@ class Applied(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A measurement as the filter took it."""
+    """A measurement, and what the filter made of it."""
 
     measurement: PoseMeasurement
     predicted: FilterState
-    """Prediction that the measurement met."""
+    """Prediction to the measurement's stamp."""
     outcome: Update
+    """Update with the measurement, accepted or rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,10 @@ def apply(
 def _applied(
     measurement: PoseMeasurement, before: FilterState, predicted: FilterState, config: FilterConfig
 ) -> Step:
-    """Return the step with a measurement, with larger accelerations if it needs them and proves them."""
+    """Return the step with a measurement.
+
+    A pose that its frame alone proves may need larger accelerations than configured; then they are assumed.
+    """
     outcome = updated(predicted, measurement, config)
     if measurement.alone and not is_expected(outcome, predicted):
         manoeuvre = explaining(before, predicted, measurement, config)

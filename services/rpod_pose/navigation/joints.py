@@ -32,20 +32,20 @@ class JointTrack:
 
     @classmethod
     def begun(cls, joint: Joint, angle: Angle, stamp_ns: int) -> Self:
-        """Return the track that a first angle begins; the rate is any that the joint can have."""
+        """Return a track that begins at a first angle; its rate may be any that the joint can have."""
         rate_sigma_rad_s = 2.0 * joint.rate_rad_s / UNIFORM
         covariance = np.diag([angle.sigma_rad**2, rate_sigma_rad_s**2])
         return cls(stamp_ns, np.array([angle.angle_rad, 0.0]), covariance, joint)
 
     @property
     def angle(self) -> Angle:
-        """Angle with its standard deviation: at most that of an angle of which only the limits are known."""
+        """Angle with its standard deviation, which is at most that of a uniform angle between the limits."""
         least, greatest = self.joint.limits_rad
         angle_rad = float(np.clip(self.state[0], least, greatest))
         return Angle(angle_rad, min(sqrt(self.covariance[0, 0]), (greatest - least) / UNIFORM))
 
     def at(self, stamp_ns: int) -> "JointTrack":
-        """Return the prediction for a time; one before the track's own time is that of the track."""
+        """Return the prediction for a time; for a time before the track's own, the track as it is."""
         passed_s = max(stamp_ns - self.stamp_ns, 0) / NANOSECONDS
         F = np.array([[1.0, passed_s], [0.0, 1.0]])
         density = self.joint.rate_rad_s**2 / SETTLING_S
@@ -56,9 +56,9 @@ class JointTrack:
         )
 
     def after(self, angle: Angle) -> "JointTrack":
-        """Return the track with an angle to which its own prediction belongs as the prior.
+        """Return the track after an angle that was estimated with this track's prediction as the prior.
 
-        What the frame alone tells is the difference of the information of both.
+        The information that the frame adds is that of the angle minus that of the prior.
         """
         before = float(self.covariance[0, 0])
         if not angle.sigma_rad**2 < before:
@@ -72,7 +72,7 @@ class JointTrack:
 def tracked_joints(
     tracks: Mapping[str, JointTrack], joints: Mapping[str, Joint], angles: Mapping[str, Angle], stamp_ns: int
 ) -> dict[str, JointTrack]:
-    """Return the tracks after an accepted frame with these angles; it begins those that do not exist."""
+    """Return the tracks after an accepted frame with these angles; tracks that do not exist yet begin."""
     return {
         **tracks,
         **{

@@ -9,8 +9,8 @@ TRACKING   --too many frames inconsistent with the pose-->  LOST
 LOST       --accepted near the prediction, or found-->      VERIFYING
 
 ``step(state, measurement) -> (state, output)`` knows neither bus nor clock: the daemon, a replay
-of a log and a Monte-Carlo campaign run the same function. Searches are made behind a port (``Searches``):
-while one runs, the steps go on, and its result is applied at a later frame.
+of a log and a Monte-Carlo campaign run the same function. Searches run behind a port (``Searches``): while
+one runs, the navigator processes further frames. The result is applied at a later frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,14 +29,7 @@ from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.first_pose.beginning import Beginning, first_state
 from rpod_pose.navigation.first_pose.catching_up import CatchingUp
 from rpod_pose.navigation.first_pose.results import SearchResults
-from rpod_pose.navigation.first_pose.searches import (
-    BEGUN,
-    FOUND,
-    Found,
-    InlineSearches,
-    Search,
-    Searches,
-)
+from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, Found, InlineSearches, Search, Searches
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.parallel import ParallelTracks
@@ -64,17 +57,17 @@ from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 
 class Navigator:
-    """The transitions; its only state is its configuration and data of the target.
+    """The transitions between the states; the object holds only configuration and data of the target.
 
     Args:
         settings: settings of the estimator.
         methods: methods of each sensor, by its name.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,).
-        alike: which attitudes of the target no measurement distinguishes; each estimate lists the poses that
-            the turns give, and leaves the angle about a free axis as it is.
+        alike: which attitudes of the target no measurement distinguishes; each estimate lists the poses of
+            its turns as hypotheses, and no estimate turns about a free axis.
         joints: joints of the target, whose angles are estimated.
         dynamics: how tracks are predicted.
-        searches: makes the searches; by default inline, with the delay that is configured.
+        searches: runs the searches; by default in the caller's thread, with the configured delay.
     """
 
     def __init__(
@@ -132,49 +125,50 @@ class Navigator:
         before, (state, why) = state, self._coasting.aged(state, event.stamp_ns)
         why = why if state.mode == Mode.LOST else ""
         state = replace(state, streams=heard(state.streams, event.sensor, event.stamp_ns))
-        state, output = self._take(state, event)
+        state, output = self._process(state, event)
         if why:
             output = output.after_loss(why, unsupported_s(before.streams, event.stamp_ns))
         if output.odometry is not None:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
-        if state.mode == Mode.TRACKING and not before.mode.has_track:  # the others track it from now on
+        if state.mode == Mode.TRACKING and not before.mode.has_track:  # no sensor needs a search any more
             state = replace(state, searches={})
-        return state, self._with_alert_limit(state, output)
+        return state, self._with_usability(state, output)
 
-    def _take(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+    def _process(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Apply the result of the sensor's search, if there is one, and then the measurement."""
         if state.given is not None:
             state = self._beginning.at_given(state, state.given, event)
         pending = state.searches.get(event.sensor)
         if pending is None or state.verifies_another(event.sensor):
-            return self._look(state, event)
+            return self._dispatch(state, event)
         found = self._searches.result(pending)
         if found is None:
-            return self._look(state.searching(self._catching_up.waited(pending, event)), event)
+            return self._dispatch(state.searching(self._catching_up.waited(pending, event)), event)
         before = state.not_searching(event.sensor)
-        state, then = self._conclude(before, pending, found)
+        state, then = self._apply_search(before, pending, found)
         follow = self._catching_up.needed(before, state, pending, found, event)
-        state, output = self._look(state, event) if follow is None else self._ask(before, follow)
+        state, output = self._dispatch(state, event) if follow is None else self._start_search(before, follow)
         return state, output.after_search(then, pending.age_s(event.stamp_ns))
 
-    def _look(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Process a measurement according to what is known about the target."""
+    def _dispatch(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
+        """Process a measurement: with rivals, without a pose, or with a predicted pose."""
         if state.rivals is not None:
-            return self._compare(state, state.rivals, event)
+            return self._track_rivals(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
             return state, self._output(state, event, reason=LATE)
-        return self._follow(state, state.history, predicted, event)
+        return self._with_prediction(state, state.history, predicted, event)
 
-    def _follow(
+    def _with_prediction(
         self, state: NavigatorState, history: History, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Process a measurement for which there is a prediction."""
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
-            if event.sensor in state.established:  # a pose that it cannot verify is dropped
+            if event.sensor in state.established:  # a pose that this sensor cannot verify is dropped
                 return self._reject(state, event, None, reason=why)
             return state, self._output(state, event, reason=why)
         if state.established and event.sensor not in state.established:
@@ -184,43 +178,45 @@ class Navigator:
     def refuse(
         self, state: NavigatorState, sensor: str, stamp_ns: int, reason: str
     ) -> tuple[NavigatorState, Output]:
-        """Return the state and the output at the stamp of a frame without content of its own."""
+        """Return the state and the output at the stamp of a frame that is refused unprocessed."""
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
-        return state, self._with_alert_limit(state, output)
+        return state, self._with_usability(state, output)
 
     def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
         """Return the report about a search whose result waits for the next frame of its sensor.
 
-        The state stays as it is, so that a replay needs to know nothing of it.
+        The state does not change, so that a replay gives the same estimates without this call.
         """
         found_one, registration = found.acquisition.begins_track, found.acquisition.registration
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
-        told = FOUND if found_one else ""
-        output = self._output(state, search.event, registration, reason=reason, search=told)
-        return self._with_alert_limit(state, output.with_evidence(BEGUN, 1.0))
+        report = FOUND if found_one else ""
+        output = self._output(state, search.event, registration, reason=reason, search=report)
+        return self._with_usability(state, output.with_evidence(BEGUN, 1.0))
 
-    def _with_alert_limit(self, state: NavigatorState, output: Output) -> Output:
-        """Return an output that says whether its covariance makes it unusable."""
+    def _with_usability(self, state: NavigatorState, output: Output) -> Output:
+        """Return an output with the reason why its covariance makes the estimate unusable, if it does."""
         if output.odometry is None:
             return output
-        return replace(output, of_no_use=self._coasting.of_no_use(state, output.odometry.stamp_ns))
+        return replace(output, unusable=self._coasting.unusable(state, output.odometry.stamp_ns))
 
     # --- searches ---
 
-    def _ask(self, state: NavigatorState, search: Search) -> tuple[NavigatorState, Output]:
-        """Let a frame be searched; take the result if it is there at once."""
+    def _start_search(self, state: NavigatorState, search: Search) -> tuple[NavigatorState, Output]:
+        """Start a search; apply its result if it is available at once."""
         found = self._searches.result(search := replace(search, beside_track=state.mode.has_track))
         if found is not None:
-            return self._conclude(state, search, found)
+            return self._apply_search(state, search, found)
         state = state.searching(replace(search, waited=1))
         reason = search.reason if search.registration else ""
         output = self._output(state, search.event, search.registration, reason=reason, search=search.report)
         return state, output.with_evidence(BEGUN, 1.0)
 
-    def _conclude(self, state: NavigatorState, search: Search, found: Found) -> tuple[NavigatorState, Output]:
-        """Take the result of a search, at the stamp of the searched frame."""
+    def _apply_search(
+        self, state: NavigatorState, search: Search, found: Found
+    ) -> tuple[NavigatorState, Output]:
+        """Apply the result of a search at the stamp of the searched frame."""
         if state.rivals is not None:
             return self._found.again(state, state.rivals, search, found)
         if state.history is None or not (state.mode == Mode.VERIFYING or state.mode.has_track):
@@ -236,24 +232,24 @@ class Navigator:
     # --- ACQUIRING ---
 
     def _acquire(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
-        """Search without a guess."""
+        """Start a search without a guess, unless one is running or must pause."""
         if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
-        if self._rests(state, event):
+        if self._must_pause(state, event):
             return state, self._output(state, event, reason=RESTS)
         angles = self._registrar.angles(state.joints, event)
-        return self._ask(state, Search(event, event.data, angles=angles))
+        return self._start_search(state, Search(event, event.data, angles=angles))
 
-    def _rests(self, state: NavigatorState, event: Measurement) -> bool:
+    def _must_pause(self, state: NavigatorState, event: Measurement) -> bool:
         pause_s = self._limits.tuning.search_pause_s if len(self._methods) > 1 else 0.0
         return is_paused(state.streams, event.sensor, event.stamp_ns, pause_s)
 
     # --- rivals ---
 
-    def _compare(
+    def _track_rivals(
         self, state: NavigatorState, rivals: Rivals, event: Measurement
     ) -> tuple[NavigatorState, Output]:
-        """Track each rival; begin a track if one of them remains, also beside those of a new search."""
+        """Track each rival. When one is probable enough, search again: no other pose may be as probable."""
         if rivals.tracks[0].history.before(event.stamp_ns, self._settings.filter) is None:
             return state, self._output(state, event, reason=LATE)
         apart_s = (event.stamp_ns - rivals.since_ns) / NANOSECONDS
@@ -274,7 +270,7 @@ class Navigator:
         ):
             frame = as_of_stamp(event, rivals.tracks[0].state, methods.deskew)
             reason = rivals.reason(self._alike)
-            return self._ask(state, Search(event, frame, registration=registration, reason=reason))
+            return self._start_search(state, Search(event, frame, registration=registration, reason=reason))
         return self._found.keep_rivals(state, rivals, event, registration)
 
     # --- VERIFYING and TRACKING ---
@@ -286,15 +282,15 @@ class Navigator:
         tracked = state.mode.has_track
         registration, reason = self._registrar.register(state.joints, event, predicted, tracked=tracked)
         if reason and not (tracked and self._registrar.is_confident(predicted)):
-            # While no twist is known, or after a gap, the prediction may be far off.
+            # While the twist is unknown, or after a gap, the prediction may be far from the true pose.
             if waiting := state.waiting(event.sensor, event.stamp_ns):
                 return state, self._output(state, event, registration, reason=reason, search=waiting)
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
-            if not state.established:  # a given pose that its first frame does not show
+            if not state.established:  # a given pose that the first frame does not confirm
                 state = replace(state, mode=Mode.ACQUIRING, history=None)
                 search = replace(search, frame=event.data)
-            return self._ask(state, search)
+            return self._start_search(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
 
     def _registered(
@@ -307,7 +303,7 @@ class Navigator:
         *,
         reason: str,
     ) -> tuple[NavigatorState, Output]:
-        """Take the registration of a frame from the prediction to its stamp."""
+        """Apply a registration: record its belief, update the filter, accept or reject the pose."""
         tracked = state.mode.has_track
         record = state.records.get(event.sensor, Record())
         if registration.T_sensor_target is not None:
@@ -316,7 +312,7 @@ class Navigator:
         if tracked and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
             state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
-            why = reason or registration.belief.reason or "the newest does"
+            why = reason or registration.belief.reason or "the newest frame does"
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
@@ -386,8 +382,8 @@ class Navigator:
         if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
-        everywhere = None if self._rests(state, event) else event.data
-        return self._ask(state, replace(search, frame=everywhere, reason=RESTS))
+        everywhere = None if self._must_pause(state, event) else event.data
+        return self._start_search(state, replace(search, frame=everywhere, reason=RESTS))
 
     def _let_time_pass(self, state: NavigatorState, tick: Tick) -> tuple[NavigatorState, Output | None]:
         """Publish the prediction of a track while no sensor sends anything, until it is lost."""
@@ -397,4 +393,4 @@ class Navigator:
         state, reason = self._coasting.aged(state, tick.stamp_ns)
         reason = reason or f"no frame for {silent_s:.1f} s"
         state, output = self._results.silent(state, tick.stamp_ns, reason)
-        return state, self._with_alert_limit(state, output)
+        return state, self._with_usability(state, output)

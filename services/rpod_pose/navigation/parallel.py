@@ -1,4 +1,4 @@
-"""The tracks of rivals, frame by frame, by the methods of the frame's sensor."""
+"""Parallel tracks of the rivals of a first pose, continued frame by frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from rpod_target import Equivalence
 
 
 class Tracked(NamedTuple):
-    """Rivals after a frame, and what the tracker found at the best of them."""
+    """Rivals after a frame, and the registration of the best of them."""
 
     rivals: Rivals
     registration: Registration
@@ -56,7 +56,7 @@ class ParallelTracks:
         return distinct(rivals, self._alike)
 
     def continued(self, rivals: Rivals, event: Measurement, methods: Methods) -> Tracked | None:
-        """Return the rivals that explain a frame as well; None if none does."""
+        """Return the rivals that a frame does not exclude, with new weights; None if it excludes all."""
         left, seen = [], []
         for rival in rivals.tracks:
             predicted = rival.history.at(event.stamp_ns, self._config)
@@ -91,8 +91,8 @@ class ParallelTracks:
     def also_found(self, rivals: Rivals, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
         """Return the poses that a search has found while rivals are tracked, at the rivals' newest stamp.
 
-        The first search may have missed the right pose, or its track may have been lost since. Where frames
-        have come since the searched one, the target has moved in the meantime as the best rival says.
+        The first search may have missed the right pose, or its track may have been lost since. If the rivals
+        are newer than the searched frame, the poses are predicted to them with the twist of the best rival.
         """
         best = rivals.tracks[0].state
         others = self.started(event, found)

@@ -1,14 +1,14 @@
-"""A measured pose, and what its errors have in common with those of other poses.
+"""A measured pose, and the errors that it shares with other measured poses.
 
-Errors of successive frames are correlated: those of a sensor's mount, of its calibration, of where edges lie
-on the pixels, of the target's model. Where the configuration says so (``FilterConfig.errors``), they are
-states of the filter, so that they do not average out. Mounts are estimated; the others are considered.
+Errors of successive frames are correlated: those of a sensor's mount, of its calibration, of the places of
+edges on the pixels, of the target's model. If the configuration says so (``FilterConfig.errors``), they are
+states of the filter, so that they do not average out. Mounts are estimated; the other errors are considered.
 
-The method states three covariances of errors that last (``ports.ErrorParts``). The error is L b, with L the
-symmetric root of the covariance in the axes to which the error is fixed, and b six states of variance 1. The
-symmetric root changes steadily with the covariance, so that b keeps its meaning from frame to frame. The
-covariance is the average of those that the frames of one view state (``blocks.averaged``); where a frame
-states a larger one, the difference is noise of this frame.
+The method states three covariances of errors that last (``ports.ErrorParts``). Each such error is L b. L is
+the symmetric root of its covariance in the axes to which the error is fixed, and b are six states of variance
+1. The symmetric root is a continuous function of the covariance, so that b keeps its meaning from frame to
+frame. The covariance in use is the average of those that the frames of one view state (``blocks.averaged``).
+If a frame states a larger one, the difference is noise of this frame.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ class Origin:
     T_chaser_sensor: RigidTransform
     """Mount of the sensor, as stated."""
     parts: ErrorParts | None = None
-    """The pose's errors by how long they last, sensor axes; None if the method does not tell."""
+    """The pose's errors by how long they last, sensor axes; None if the method does not separate them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,29 +66,31 @@ class PoseMeasurement:
     stamp_ns: int
     T_chaser_target: RigidTransform
     covariance: FloatArray
-    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), but for the error of the mount."""
+    """Covariance of (dp, dtheta), ICD section 1, shape (6, 6), without the error of the mount."""
     origin: Origin | None = None
-    """Where it comes from; None for a pose that no sensor has measured, as a given one."""
+    """Where it comes from; None for a pose that no sensor has measured, for example a given one."""
     alone: bool = False
-    """Whether its frame proves it without the prediction: where the gate refuses it, larger accelerations are
-    tried (``dynamics/manoeuvre``)."""
+    """Whether its frame alone, without the prediction, proves the pose. If the gate refuses such a pose,
+    larger accelerations are tried (``dynamics/manoeuvre``)."""
     since_s: float = inf
-    """Time since the accepted frame of the same sensor before it, s: errors of near frames are alike."""
+    """Time since the previous accepted frame of the same sensor, s; frames near in time have similar
+    errors."""
     lasting_s: float = 0.0
-    """RMS time of its returns from the stamp. The pose is off by about the error of the twist that de-skewed
-    them, times this."""
+    """RMS time between the returns and the stamp, s. An error of the twist that de-skewed the frame shifts
+    the pose by about this error multiplied by this time."""
 
 
 class Shared(NamedTuple):
-    """Errors of a measured pose: those of its own, and the states by which it shares errors with others."""
+    """Errors of a measured pose: its own ones, and the states through which it shares errors with others."""
 
     covariance: FloatArray
-    """Covariance of its errors that are in no block, shape (6, 6)."""
+    """Covariance of the errors that belong to no block, shape (6, 6)."""
     white: bool
-    """Whether this is its noise alone; else errors that last are in it, since the method tells no parts."""
+    """Whether this covariance is that of noise alone. Otherwise it includes errors that last."""
     blocks: tuple[Block, ...]
-    """The states that move it, as before any measurement."""
+    """The states on which the measured pose depends, with their initial values."""
     sensitivities: Sensitivities
+    """Derivatives of the measured pose with respect to these states."""
 
 
 def started(
@@ -119,9 +121,9 @@ def started(
 
 
 def updated(predicted: FilterState, measured: PoseMeasurement, config: FilterConfig) -> Update:
-    """Return the update of a prediction to the stamp of a measured pose.
+    """Return the update of a prediction with a measured pose of the same stamp.
 
-    A rejected pose changes nothing, nor does what it says of the errors that its sensor's frames share.
+    A rejected pose changes nothing, not even the blocks of the errors that its sensor's frames share.
     """
     found = _applied(update, predicted, measured, config)
     return found if found.accepted else found._replace(state=predicted)
@@ -149,12 +151,12 @@ def _applied(
 
 
 def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequence[Block] = ()) -> Shared:
-    """Return which states of blocks move a measured pose, and how, chaser axes.
+    """Return the own errors of a measured pose, and the states of shared errors, chaser axes.
 
     Args:
         measured: the pose.
         config: how errors are treated.
-        known: blocks of the state that the pose is compared with.
+        known: blocks of the state with which the pose is compared.
     """
     origin = measured.origin
     if origin is None:
@@ -191,13 +193,16 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
 
 
 def mount_of(sensor: str, config: FilterConfig) -> Block:
-    """Return the block of the error of a sensor's mount, as before any measurement."""
+    """Return the block of the error of a sensor's mount at its initial value, zero."""
     sigma = np.repeat([config.mount_sigma_m, radians(config.mount_sigma_deg)], 3)
     return Block(MOUNT.format(sensor), np.zeros(6), sigma)
 
 
 def _by_mount(T_chaser_target: RigidTransform, T_chaser_sensor: RigidTransform) -> FloatArray:
-    """Return the derivatives of a pose by the error of the mount: it moves as a body with the sensor."""
+    """Return the derivatives of a measured pose with respect to the error of the mount, shape (6, 6).
+
+    A displaced sensor displaces the measured target like a rigid body.
+    """
     by = np.eye(6)
     by[:3, 3:] = -cross_matrix(T_chaser_target.translation - T_chaser_sensor.translation)
     return by

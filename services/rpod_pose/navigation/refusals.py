@@ -1,4 +1,4 @@
-"""Reasons for which the filter's gate refuses poses, for the operator."""
+"""Reasons, for the operator, why the filter's gate refused a pose."""
 
 from math import degrees, inf, isfinite
 
@@ -35,19 +35,19 @@ class Refusals:
 
         Args:
             history: the history before the pose.
-            predicted: the prediction that it met.
+            predicted: the prediction to its stamp.
             measured: the pose.
             nis: its normalised innovation squared.
-            tracked: whether the track has a twist; else it is that of the filter's start.
+            tracked: whether the track's twist is estimated already; otherwise it is the initial one.
         """
         before, text = history.before(measured.stamp_ns, self._config), f"gate: nis {nis:.1f}"
         if before is None or not isfinite(nis) or measured.stamp_ns <= before.stamp_ns:
             return text
         found = compared(predicted, measured, self._config)
-        text += f", at most {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
+        text += f", limit {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
         least = needed(before, predicted, measured, self._config)
         settings = self._densities(least) if tracked else _priors(least)
-        return f"{text}; if the target moves so, raise {' and '.join(settings)}" if settings else text
+        return f"{text}; if the target really moves so, raise {' and '.join(settings)}" if settings else text
 
     def _densities(self, least: Manoeuvre) -> list[str]:
         config = self._config
@@ -73,12 +73,12 @@ def _priors(least: Manoeuvre) -> list[str]:
 
 
 def _beyond(before: FilterState, predicted: FilterState, found: Innovation) -> str:
-    """Return how far a measured pose is off its prediction, and how far it was expected to be, in words."""
+    """Return in words how far a measured pose is from its prediction, and which distance was expected."""
     sigma = np.sqrt(np.diag(found.covariance))
     shift_m, turn_rad = (float(np.linalg.norm(found.difference[part])) for part in (POSITION, ATTITUDE))
     expected_m, expected_rad = (float(np.linalg.norm(sigma[part])) for part in (POSITION, ATTITUDE))
     step_s = (predicted.stamp_ns - before.stamp_ns) / NANOSECONDS
     return (
-        f"{degrees(turn_rad):.1f} deg and {1e3 * shift_m:.0f} mm beside the prediction over {step_s:.2f} s, "
+        f"{degrees(turn_rad):.1f} deg and {1e3 * shift_m:.0f} mm from the prediction over {step_s:.2f} s, "
         f"{degrees(expected_rad):.1f} deg and {1e3 * expected_m:.0f} mm expected"
     )

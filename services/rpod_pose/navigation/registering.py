@@ -1,4 +1,4 @@
-"""Registers frames from predicted poses, by the methods of their sensors."""
+"""Registration of frames from predicted poses, by the methods of their sensors."""
 
 from collections.abc import Mapping
 from math import radians
@@ -15,18 +15,18 @@ from rpod_schemas.poses import chained
 
 
 class Registrar:
-    """Asks the methods of each sensor.
+    """Registers frames by the methods of each sensor.
 
     Args:
         methods: methods of each sensor, by its name.
-        vague_deg: standard deviation of the predicted attitude above which its surroundings are searched.
+        vague_deg: standard deviation of the predicted attitude above which attitudes near it are searched.
     """
 
     def __init__(self, methods: Mapping[str, Methods], *, vague_deg: float) -> None:
         self._methods, self._vague_deg = methods, vague_deg
 
     def methods_for(self, joints: Mapping[str, JointTrack], event: Measurement) -> Methods:
-        """Return the sensor's methods, which expect the target's joints where their tracks predict them."""
+        """Return the sensor's methods, which expect the joints' angles that their tracks predict."""
         return expecting(self._methods[event.sensor], self.angles(joints, event))
 
     def angles(self, joints: Mapping[str, JointTrack], event: Measurement) -> dict[str, Angle]:
@@ -36,13 +36,13 @@ class Registrar:
     def register(
         self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState, *, tracked: bool
     ) -> tuple[Registration, str]:
-        """Return the registration from the prediction, and the reason why it is not accepted; empty if it is.
+        """Return the registration from the prediction, and the reason why it is not used; empty if it is.
 
         Args:
             joints: tracks of the target's joints.
             event: the measurement.
             predicted: the prediction to its stamp.
-            tracked: whether the sensor continues a track, which needs less than one that begins.
+            tracked: whether the sensor continues a track. To begin one, the belief must be stronger.
         """
         methods = self.methods_for(joints, event)
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
@@ -51,13 +51,13 @@ class Registrar:
         return registration, "" if enough else registration.belief.refusal
 
     def around(self, joints: Mapping[str, JointTrack], event: Measurement, predicted: FilterState) -> Search:
-        """Return the search of a frame around its prediction only."""
+        """Return the search of a frame near its prediction only."""
         deskew = self.methods_for(joints, event).deskew
         T_sensor_target = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
         near = Near(as_of_stamp(event, predicted, deskew), T_sensor_target)
         return Search(event, near=near, angles=self.angles(joints, event))
 
     def is_confident(self, predicted: FilterState) -> bool:
-        """Return whether the predicted attitude is known well enough not to be searched around."""
+        """Return whether the predicted attitude is so well known that no search near it is needed."""
         sigma_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[ATTITUDE, ATTITUDE])[-1]))
         return sigma_rad <= radians(self._vague_deg)

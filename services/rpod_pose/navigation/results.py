@@ -1,4 +1,4 @@
-"""Output of a step of the navigator: status, odometry, hypotheses, angles of joints."""
+"""Composition of the output of a navigator's step: status, odometry, hypotheses, angles of joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -25,8 +25,8 @@ class Results:
 
     Args:
         config: configuration of the filter, which predicts to the frame's stamp.
-        alike: which attitudes no measurement distinguishes; each estimate lists the poses the turns give,
-            and leaves the angle about a free axis as it is.
+        alike: which attitudes no measurement distinguishes; each estimate lists the poses of its turns as
+            hypotheses, and no estimate turns about a free axis.
     """
 
     def __init__(self, config: FilterConfig, alike: Equivalence) -> None:
@@ -50,13 +50,13 @@ class Results:
         Args:
             state: the state after it.
             event: the measurement.
-            registration: what the sensor's method found; None if none was asked.
+            registration: result of the sensor's method; None if the frame was not registered.
             reason: why the pose was not accepted; empty if it was.
             search: report about a search of the sensor's frames; empty if there is none.
-            nis: normalised innovation squared; NaN if the filter was not asked.
+            nis: normalised innovation squared; NaN if the filter was not updated.
             found: the result of a search without a guess, where one was made.
         """
-        told = "; ".join(filter(None, (reason, search)))
+        reasons = "; ".join(filter(None, (reason, search)))
         measured = registration or Registration(Source.NONE)
         hypotheses = self._hypotheses(state, event, found)
         status = EstimatorStatus(
@@ -65,8 +65,8 @@ class Results:
             mode=state.mode,
             source=measured.source,
             sensor=event.sensor,
-            accepted=not told,
-            reason=told,
+            accepted=not reasons,
+            reason=reasons,
             cost_m2=measured.cost_m2,
             nis=nis,
             inliers=measured.inliers,
@@ -81,12 +81,12 @@ class Results:
                 **(evidence_of(state.history.state) if state.history else {}),
             },
         )
-        marks = measured.belief.marks if told else None
+        marks = measured.belief.marks if reasons else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
         odometry = self._odometry(state, event.stamp_ns)
         joints = _joints_at(state.joints, odometry.stamp_ns) if odometry else None
-        used = registration if odometry and not told else None
-        weak_support = "" if told else measured.belief.reason
+        used = registration if odometry and not reasons else None
+        weak_support = "" if reasons else measured.belief.reason
         return Output(
             status, odometry, refused, joints, weak_support=weak_support, measured=used, search=search
         )
@@ -105,7 +105,7 @@ class Results:
         return state, Output(status, odometry, joints=joints)
 
     def _odometry(self, state: NavigatorState, stamp_ns: int) -> Odometry | None:
-        """Return the estimate at a frame's stamp, or later where a later one was published already."""
+        """Return the estimate at a frame's stamp, or at that of the newest published one if it is later."""
         if not state.mode.has_track or state.history is None:
             return None
         newest = state.history.state

@@ -1,12 +1,14 @@
 """Rivals of an ambiguous first pose: tracked in parallel until one remains.
 
-Each rival has a filter of its own. A frame adds to the logarithm of its evidence: the log likelihood of the
-frame at the pose that the tracker found, by the sensor's own model, the one by which its search weighs
-hypotheses. Errors of successive frames are correlated, so half of it counts, whatever the rate (or one part
-in ``correlation_inflation``, if that is set), and no more than once in ``CORRELATED_S``.
+Each rival has a filter of its own. Each frame adds to the logarithm of a rival's evidence. It adds the log
+likelihood of the frame at the pose that the tracker found, by the same model of the sensor by which a search
+weighs its hypotheses. Errors of successive frames are correlated. Therefore at most half of a frame's log
+likelihood counts, whatever the rate (or one part in ``correlation_inflation``, if that is set), and all
+frames within ``CORRELATED_S`` count at most as one.
 
-Only differences matter. A rival is excluded when a frame that another one explains contradicts it, or when
-the filter's gate rejects its motion. Attitudes that no measurement distinguishes are one rival.
+Only differences between rivals matter. A rival is excluded when a frame that another rival explains
+contradicts it, or when the filter's gate rejects its motion. Attitudes that no measurement distinguishes are
+one rival.
 """
 
 from collections.abc import Sequence
@@ -51,15 +53,15 @@ class Rivals(NamedTuple):
 
     tracks: tuple[Rival, ...]
     sensor: str
-    """Sensor that saw the ambiguous first pose; another one may not see the target."""
+    """Sensor that measured the ambiguous first pose; another sensor may not see the target."""
     since_ns: int
     """Stamp of the ambiguous first pose."""
     newest_ns: int
     """Stamp of the newest frame that counted."""
     needed: float
-    """Weight of the best rival from which on it is believed: that of a first pose."""
+    """Least weight at which the best rival is believed; it is that of a first pose."""
     frames: int = 0
-    """Number of frames in which they were tracked."""
+    """Number of frames in which the rivals were tracked."""
 
     @property
     def weights(self) -> FloatArray:
@@ -69,7 +71,7 @@ class Rivals(NamedTuple):
 
     @property
     def decided(self) -> bool:
-        """Whether the best one is probable enough to be believed."""
+        """Whether the best rival is probable enough to be believed."""
         return bool(self.weights[0] >= self.needed)
 
     def share_of_frame(self, stamp_ns: int, inflation: float) -> float:
@@ -119,9 +121,9 @@ class Rivals(NamedTuple):
         return {"rivals": float(len(self.tracks)), "rivals_best_weight": float(self.weights[0]), **lead}
 
     def joined_by(self, found: Sequence[Rival], alike: Equivalence) -> Self:
-        """Return the rivals with those of a search in the newest frame that are not among them.
+        """Return the rivals together with the new ones that a search in the newest frame has found.
 
-        Only this frame tells a new rival from the best one: before it, both count as equally probable.
+        Only this frame compares a new rival with the best one: before it, both count as equally probable.
 
         Args:
             found: poses that explain the frame; their evidence is that of this frame alone.

@@ -20,7 +20,7 @@ from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odom
 
 @dataclass(frozen=True, eq=False)
 class GivenPose:
-    """A pose from outside to start from; without a stamp it applies to the first frame."""
+    """A pose from outside at which a track starts; without a stamp it applies to the first frame."""
 
     T_chaser_target: RigidTransform
     covariance: FloatArray
@@ -40,9 +40,9 @@ class NavigatorState:
     streams: Mapping[str, Stream] = field(default_factory=dict)
     """Each sensor's frames, by its name."""
     established: frozenset[str] = frozenset()
-    """Sensors that carry the track; empty while a given pose is not verified."""
+    """Sensors that support the track on their own; empty while a given pose is not verified."""
     separation: Separation | None = None
-    """The filters with and without sensors that are not established, where there are such."""
+    """The filters with and without the sensors that are not established; None if there are none."""
     lost_ns: int = 0
     """Stamp at which the target was lost."""
     shown_ns: int = 0
@@ -52,9 +52,10 @@ class NavigatorState:
     challenger: Challenger | None = None
     """Track of the believed poses that the gate has refused since the last accepted one."""
     joints: Mapping[str, JointTrack] = field(default_factory=dict)
-    """Angles of the target's joints, by name; they outlast tracks."""
+    """Angles of the target's joints, by name; they are kept when a track ends."""
     records: Mapping[str, Record] = field(default_factory=dict)
-    """Records of frames that did not support the tracked pose, by the sensor's name; they outlast tracks."""
+    """Records of frames that did not support the tracked pose, by the sensor's name; they are kept when a
+    track ends."""
     searches: Mapping[str, Search] = field(default_factory=dict)
     """Searches whose results are awaited, by the sensor's name."""
 
@@ -63,12 +64,12 @@ class NavigatorState:
         return replace(self, searches={**self.searches, search.sensor: search})
 
     def waiting(self, sensor: str, stamp_ns: int) -> str:
-        """Return that an earlier frame of a sensor is being searched at a stamp; empty if none is."""
+        """Return the report that an earlier frame of a sensor is still being searched; empty if none is."""
         pending = self.searches.get(sensor)
         return "" if pending is None else SEARCHING.format(pending.age_s(stamp_ns))
 
     def verifies_another(self, sensor: str) -> bool:
-        """Return whether the first pose of another sensor is being verified, so that a result can wait."""
+        """Return whether another sensor's first pose is being verified, so that a search's result waits."""
         return self.mode == Mode.VERIFYING and bool(self.established - {sensor})
 
     def not_searching(self, sensor: str) -> "NavigatorState":
@@ -97,16 +98,16 @@ class Output:
     joints: Joints | None = None
     """Angles of the target's joints, with the odometry; None for a target without joints."""
     weak_support: str = ""
-    """Reason why the measurement supports its pose too little although it is used; empty if it does not."""
+    """Reason why a measurement that is used supports its pose only weakly; empty if it supports it well."""
     measured: Registration | None = None
-    """Pose that was measured in the frame, unfiltered, sensor axes; None outside TRACKING and if it was
+    """Pose that was measured in the frame, unfiltered, sensor axes; None without a track, or if the pose was
     refused."""
 
     search: str = ""
     """Report about a search of the sensor's frames, the end of the status's reason; empty for none."""
     lost: str = ""
     """Why the track was lost before an accepted frame that begins it again; empty if it was not."""
-    of_no_use: str = ""
+    unusable: str = ""
     """How the covariance of the odometry exceeds the alert limit; empty if it does not."""
 
     @property
@@ -128,12 +129,13 @@ class Output:
     def after_loss(self, why: str, unsupported_s: float) -> "Output":
         """Return this output of a frame before which the track was lost, with the reason.
 
-        The status of a frame that is accepted has no reason: its evidence tells for how long none was.
+        The status of an accepted frame has no reason. Instead, its evidence gives the time for which no frame
+        was accepted.
         """
         if not self.status.accepted:
             return self.because(why) if self.status.mode == Mode.LOST else self
-        told = f"the track was lost: {why}; this frame begins it again"
-        return replace(self, lost=told).with_evidence(LOST_AFTER_S, unsupported_s)
+        text = f"the track was lost: {why}; this frame begins it again"
+        return replace(self, lost=text).with_evidence(LOST_AFTER_S, unsupported_s)
 
     def with_evidence(self, name: str, value: float) -> "Output":
         """Return this output with one more number in the status's evidence."""
@@ -151,8 +153,8 @@ class Output:
         status, earlier = self.status, then.status
         if status.accepted or earlier.accepted:
             return self.with_evidence(AGE_S, age_s)
-        told = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
-        changes: dict[str, object] = {"reason": told}
+        text = f"{earlier.reason}, in the frame {age_s:.2f} s ago; {status.reason}"
+        changes: dict[str, object] = {"reason": text}
         if status.source == Source.NONE:  # nothing was found in this frame itself
             kept = {"stamp_ns", "mode", "sensor", "frame_id"}
             evidence = {**earlier.evidence, **status.evidence}

@@ -1,7 +1,8 @@
 """Check that frames come from the expected camera: size, intrinsics and distortion.
 
-A wrong principal point shifts the target and a wrong focal length scales it. One image hardly distinguishes
-either from a target that is elsewhere, so frames are compared with the configuration and with earlier frames.
+A wrong principal point shifts the target, and a wrong focal length scales it. In one image both look almost
+like a target at another place. Therefore the camera of each frame is compared with the configuration and with
+earlier frames.
 """
 
 from collections import Counter
@@ -13,11 +14,11 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.types import Camera
 
 _SAME = 1e-3
-"""Greatest relative difference of two equal focal lengths, and greatest difference of equal distortions.
-Hand: drivers round intrinsics; a changed lens or mode differs by percents."""
+"""Largest relative difference of focal lengths, and largest difference of distortion coefficients, that count
+as equal. Hand: drivers round intrinsics; those of a changed lens or mode differ by some percent."""
 _SAME_PX = 0.5
-"""Greatest difference of two equal principal points. Hand: two conventions for a pixel's centre differ by as
-much."""
+"""Largest difference of principal points that count as equal, px. Hand: two conventions for the centre of a
+pixel differ by as much."""
 _PATIENCE = 10
 """Number of consecutive frames of another camera after which the camera counts as changed. Hand: a quarter of
 a second at 45 Hz; one foreign frame changes nothing."""
@@ -31,9 +32,15 @@ class CameraCheck:
         self._others: Counter[str] = Counter()
 
     def check(self, sensor: str, camera: Camera, *, pinned: bool = False) -> None:
-        """Accept a frame's camera if it is the first, equals the known one, or is another one that stays.
+        """Accept the camera of a frame, or refuse it by an error.
 
-        While the camera is ``pinned``, because a track uses it, no other one is accepted.
+        Accepted are the first camera of a sensor, the known one, and another one that was sent in more than
+        ten frames in succession.
+
+        Args:
+            sensor: name of the sensor.
+            camera: camera of the frame.
+            pinned: whether a track uses the known camera; then no other one is accepted.
 
         Raises:
             MessageRejectedError: the camera is none of these; the text names the field and both values.

@@ -1,20 +1,20 @@
 """Preparation of depth for the methods: the camera is checked, distances are unwrapped and calibrated.
 
-A PMD camera measures the radial distance modulo c / 2f, with a systematic error of its own. Methods should
-not have to deal with either: ``PreparedTracker`` and ``PreparedAcquirer`` wrap a method and give it frames
-whose depth is correct except for noise.
+A PMD camera measures the radial distance modulo c / 2f, with a systematic error. Methods should not have to
+deal with either: ``PreparedTracker`` and ``PreparedAcquirer`` wrap a method and give it frames whose depth is
+correct except for noise.
 
-A distance is shifted by whole unambiguous ranges c / 2f only if that brings it into the target's bounding
-sphere, so that background, glints and unwrapped distances stay as they are. The target's distance comes from
-the prediction; without one, from the mean phase of the image, which leaves the multiple unknown. Then the
-multiples at which the image has a possible size of the target are tried, nearest first: a wrong multiple
-scales the target by half or more, which no pose explains. Where the image shows more than the target, its
-mean phase and its size are those of a wall, and all multiples are tried.
+A distance is shifted by whole unambiguous ranges c / 2f only if the result lies in the target's bounding
+sphere, so that background, glints and unwrapped distances do not change. The target's distance comes from the
+prediction. Without a prediction it comes from the mean phase of the image, which leaves the multiple unknown.
+Then the multiples at which the image has a possible size of the target are tried, nearest first: a wrong
+multiple scales the target by half or more, which no pose explains. If the image shows more than the target,
+its mean phase and size may be those of a wall, and all multiples are tried.
 
-A target may be longer than the unambiguous range. Then some of its parts are measured too near, and still
-inside the sphere. So the target is rendered at the prediction, and a distance is shifted if the phases of all
-frequencies are those of the rendered one. A camera of several frequencies unwraps by itself, but also has a
-greatest distance, which it does not state.
+A target may be longer than the unambiguous range. Then some of its parts are measured too near, but still
+inside the sphere. So the target is rendered at the prediction. A distance is shifted if its phases at all
+frequencies agree with those of the rendered distance. A camera with several frequencies unwraps by itself,
+but its distances have a limit too, which it does not state.
 """
 
 import math
@@ -40,28 +40,28 @@ from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
 _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
-"""Greatest standard deviations at which a track begins at a predicted pose: of the position, over the radius
-of the target, and of the attitude, deg. Hand: a track converges from there; a larger value begins tracks that
-the frame leaves open."""
+"""Largest standard deviations with which a track begins at a predicted pose: of the position, over the radius
+of the target, and of the attitude, deg. Hand: a track converges from there; with a larger value, tracks would
+begin at poses that the frame does not determine."""
 _LEAST_TOLD, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
-"""Greatest standard deviation of a first pose over that of any pose of a target that is in view. Physics:
-then the frame tells as much as that assumption. The second value is that of any angle, deg; for a position it
-is the radius."""
+"""Largest standard deviation of a first pose, over that of an unknown pose of a target in view. Physics: the
+frame then gives as much information as the knowledge that the target is in view. The second value is the
+standard deviation of an unknown angle, deg; for a position the radius stands for it."""
 _FARTHEST_M = 15.0
-"""Greatest distance of the target in a search without a prediction. Hand: beyond, too little light
+"""Largest distance of the target in a search without a prediction. Hand: from farther, too little light
 returns."""
 _MARGIN = 1.0 / 15.0
 """Margin around the target's bounding sphere for the error of a prediction, over the unambiguous range. Hand:
 0.5 m at 20 MHz; twice the radius and this must stay below the unambiguous range."""
 _LEAST_CONCENTRATION = 0.3
-"""Least length of the mean phasor of an image with one distance: 0 for any distance, 1 for a single one.
-Hand: below it the image has no one distance, and all of them are tried alike."""
+"""Least length of the mean phasor of an image that shows one distance; 0 for evenly spread distances, 1 for a
+single one. Hand: with a smaller length the mean distance means nothing, and all multiples are tried."""
 _SPREAD = (0.1, 0.75)
 """Least and greatest RMS spread of a target's image across the line of sight, over the target's radius.
 Physics: a disc has 0.71; a thin body seen from its end has little."""
 _LONGEST = 1.02
-"""Greatest distance that a wrapping camera gives, over its unambiguous range, with offset and rounding. Hand:
-2 % for the offset of a calibration and for rounding."""
+"""Largest distance that a camera without unwrapping states, over its unambiguous range. Hand: 2 % are for the
+offset of a calibration and for rounding."""
 _STEP_M, _END_M = 0.001, 30.0
 """Step and end of the table of corrections. Numerics: wiggling is linear over a millimetre. Physics: 5 MHz,
 the lowest frequency in use, is unambiguous up to here."""
@@ -69,19 +69,24 @@ _ROUNDS = 40
 """Iterations of the inversion of a calibration. Numerics: each halves the error, whose slope is at most
 0.5."""
 _SAME = 1e-3
-"""Greatest relative difference of two equal frequencies. Hand: drivers round frequencies; two modes differ by
+"""Largest relative difference of two equal frequencies. Hand: drivers round frequencies; two modes differ by
 percents."""
 
 
 class DepthPreparation:
-    """Unwraps and calibrates the distances of a camera, by its configuration and by the info in the frame."""
+    """Unwraps and calibrates the distances of a camera, by its configuration and the info in the frame.
+
+    Args:
+        sensor: configuration of the camera.
+        target: the target, whose radius and distance field are used.
+    """
 
     def __init__(self, sensor: PmdInput, target: Target) -> None:
         self._sensor, self.target = sensor, target
         self._corrections_m = corrections(sensor.calibration)
 
     def refusal(self, frame: PmdFrame) -> str:
-        """Return why a frame is not of the configured camera; empty if it is."""
+        """Return why a frame is not that of the configured camera; empty if it is."""
         if self._sensor.camera is not None and (why := difference(frame.camera, self._sensor.camera)):
             return f"camera_info: {why} in the configuration"
         (name, first), *others = self._frequencies(frame) or [("", ())]
@@ -101,8 +106,8 @@ class DepthPreparation:
         """Yield a frame unwrapped to each possible multiple, nearest first, and calibrated.
 
         Multiples at which the whole image has a possible size of the target come first. If it shows more than
-        the target at each of them, all others follow. Half of an unambiguous range is between two, so that
-        one of them contains the whole target.
+        the target at each of them, all others follow, in steps of half an unambiguous range. So one of them
+        contains the whole target.
         """
         interval_m, alone = self._interval_m(frame), False
         for distance_m in self._fitting_m(frame, interval_m) if interval_m else [0.0]:
@@ -125,12 +130,12 @@ class DepthPreparation:
         return [distance_m for distance_m in ranges_m if least <= spread * distance_m <= most]
 
     def _shows_more(self, frame: PmdFrame) -> bool:
-        """Return whether a frame shows more than the target would fill."""
+        """Return whether a frame shows surfaces of a larger extent than the target's."""
         image = PmdFrames().image(frame, fine=False)
         return image is not None and image.shows_more_than(self.target.radius_m)
 
     def _is_longer(self, frame: PmdFrame, range_m: float) -> bool:
-        """Return whether wrapped parts of the target may be inside the sphere around it."""
+        """Return whether the target is so long that wrapped parts of it may lie in its bounding sphere."""
         known = self._frequencies(frame)
         if self._sensor.unwrapping == "none" or not known:
             return False
@@ -141,7 +146,7 @@ class DepthPreparation:
         return farthest_m > longest_m and 2.0 * (radius_m + _MARGIN * longest_m) > longest_m
 
     def _unwrapped_at(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
-        """Return a frame whose distances are unwrapped where the target is rendered at a pose."""
+        """Return a frame whose distances are unwrapped by comparison with a rendering at a pose."""
         rays = _rays_of(frame.camera)
         if rays is None:
             return frame  # the method reports the error of the lens
@@ -186,7 +191,7 @@ class DepthPreparation:
         return float(np.angle(mean) % (2.0 * np.pi) / (2.0 * np.pi) * interval_m), float(spread)
 
     def observed(self, found: Registration) -> FloatArray:
-        """Return a registration's covariance without the angle about a free axis, which no frame tells."""
+        """Return a registration's covariance without variance about a free axis, which no frame observes."""
         if found.T_sensor_target is None:
             return found.covariance
         R = rotation_matrix(found.T_sensor_target)
@@ -202,13 +207,13 @@ class DepthPreparation:
 
 
 class PreparedTracker:
-    """A tracker of depth images behind the preparation: ports.Tracker."""
+    """A tracker that gets prepared frames: ports.Tracker[PmdFrame]."""
 
     def __init__(self, tracker: Tracker[PmdFrame], preparation: DepthPreparation) -> None:
         self._tracker, self._preparation = tracker, preparation
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
-        """Return the registration of the prepared frame; no pose if the frame is of another camera."""
+        """Return the registration of the prepared frame; without a pose if the camera is another one."""
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
@@ -219,13 +224,13 @@ class PreparedTracker:
 
 
 class PreparedAcquirer:
-    """An acquirer of depth images behind the preparation: ports.Acquirer."""
+    """An acquirer that gets prepared frames: ports.Acquirer[PmdFrame]."""
 
     def __init__(self, acquirer: Acquirer[PmdFrame], preparation: DepthPreparation) -> None:
         self._acquirer, self._preparation = acquirer, preparation
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
-        """Return the acquisition at the first multiple with the target; if there is none, at the first."""
+        """Return the acquisition at the first multiple that shows the target; if none does, at the first."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         failed: Acquisition | None = None
@@ -238,18 +243,18 @@ class PreparedAcquirer:
         return failed
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
-        """Search around a pose, which determines the multiple."""
+        """Return the acquisition near a pose, which determines the multiple."""
         if why := self._preparation.refusal(measurement):
             return _refused(why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
         return self._determined(self._acquirer.near(prepared, T_sensor_target))
 
     def _determined(self, found: Acquisition) -> Acquisition:
-        """Return an acquisition whose belief says whether the frame determines each part of the pose.
+        """Return an acquisition whose belief says whether the frame determines position and attitude.
 
-        A long cylinder both of whose ends are outside the image fits at any place along its axis: such a pose
-        must not begin a track. Errors that a camera's frames share do not prevent a track, since the next
-        frame is no better; the covariance contains them.
+        If both ends of a long cylinder are outside the image, it fits at any place along its axis. Such a
+        pose must not begin a track. Errors that a camera's frames share do not prevent a track, since they
+        are the same in the next frame; the covariance contains them.
         """
         target = self._preparation.target
         if found.pose is None:
@@ -264,7 +269,7 @@ class PreparedAcquirer:
 
 
 def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation) -> Likelihoods:
-    """Return log likelihoods of frames behind the preparation; the first pose determines the multiple."""
+    """Return log likelihoods that prepare their frames; the first pose determines the multiple."""
 
     def prepared(frame: PmdFrame, found: Sequence[Registration], /) -> FloatArray:
         assert found[0].T_sensor_target is not None  # noqa: S101 - a rival has a pose
@@ -274,10 +279,10 @@ def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation
 
 
 def wraps(short_m: FloatArray, frequencies_hz: Sequence[float]) -> FloatArray:
-    """Return the lengths by which wrapped distances are too short, m, any shape; 0 for the others.
+    """Return the lengths by which wrapped distances are too short, m, same shape; 0 for the others.
 
     Args:
-        short_m: expected distances less the measured ones, m, any shape; not finite if unknown.
+        short_m: expected minus measured distances, m, any shape; not finite if unknown.
         frequencies_hz: modulation frequencies, Hz, at least one.
     """
     found_m = np.zeros(short_m.shape)
@@ -290,7 +295,10 @@ def wraps(short_m: FloatArray, frequencies_hz: Sequence[float]) -> FloatArray:
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:
-    """Return measured minus true distance over the measured one, m, every mm from 0 to 30 m, shape (N,)."""
+    """Return the table of measured minus true distance, m, for measured distances of 0 to 30 m, shape (N,).
+
+    Its step is 1 mm of measured distance. Without a calibration it has the single entry 0.
+    """
     if calibration is None:
         return np.zeros(1, np.float32)
     measured_m = np.arange(0.0, _END_M, _STEP_M)
@@ -298,7 +306,7 @@ def corrections(calibration: DepthCalibration | None) -> Float32Array:
 
 
 def calibrated(calibration: DepthCalibration, measured_m: FloatArray) -> FloatArray:
-    """Return the true radial distances t of measured ones m, any shape, by solving t = m - error(t)."""
+    """Return the true radial distances t for measured ones m, any shape, as solutions of t = m - error(t)."""
     true_m = measured_m
     for _ in range(_ROUNDS):
         true_m = measured_m - calibration.error_m(true_m)
@@ -327,13 +335,13 @@ def _determined(
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:
-    """Return z-depth over radial distance of every pixel; None if the distortion cannot be inverted."""
+    """Return z-depth divided by radial distance of each pixel; None if the distortion has no inverse."""
     rays = _rays_of(camera)
     return None if rays is None else rays.components[2]
 
 
 def _rays_of(camera: Camera) -> RayGrid | None:
-    """Return the rays of all pixels; None if the distortion cannot be inverted."""
+    """Return the rays of all pixels; None if the distortion has no inverse."""
     if camera.distortion[LENS_COEFFICIENTS:].any():
         return None
     try:
@@ -350,7 +358,7 @@ def _prepare(
     corrections_m: Float32Array,
     out_m: Float32Array,
 ) -> None:
-    """Fill ``out_m`` with unwrapped and corrected depth; pixels without depth stay so.
+    """Fill ``out_m`` with unwrapped and corrected depth; pixels without depth keep their values.
 
     Args:
         depth_m: z-depth, shape (height, width).

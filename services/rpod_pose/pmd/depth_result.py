@@ -1,4 +1,4 @@
-"""Registration from the last iteration of a depth method: checks, cost and covariance."""
+"""Composition of a registration from the last iteration of a depth method: checks, cost and covariance."""
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -18,7 +18,7 @@ from rpod_target import Target
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """State of the iterations."""
+    """Result of a depth method's iterations."""
 
     T_sensor_target: RigidTransform
     sums: NormalEquations = field(default_factory=NormalEquations.none)
@@ -37,7 +37,7 @@ class ResultConfig(Protocol):
 
     @property
     def unsettled_m(self) -> float:
-        """Greatest last step of iterations that converged."""
+        """Largest last step of iterations that count as converged, m."""
         ...
 
     @property
@@ -63,9 +63,12 @@ def registration_of(
     sums, T = progress.sums.without_turn(target.equivalence.free_axes), progress.T_sensor_target
     reason = progress.reason
     if not reason and progress.step_m > config.unsettled_m:
-        reason = f"did not converge: the last of {progress.iterations} steps was {progress.step_m:.3f} m"
+        reason = (
+            f"did not converge: the last of {progress.iterations} steps was {progress.step_m:.3f} m, "
+            f"limit {config.unsettled_m:.3f} m"
+        )
     if not reason and sums.degenerate(target.radius_m):
-        reason = "degenerate: the matched surface leaves a motion undetermined"
+        reason = "degenerate: the matched surface does not determine the pose in all directions"
     registration = Registration(
         Source.PMD_DEPTH,
         belief=doubtful(reason) if reason else Belief(),

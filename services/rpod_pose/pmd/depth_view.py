@@ -1,7 +1,8 @@
 """View of a depth camera: the rays of its pixels, renderings of the target, and comparison with an image.
 
-The model is rendered on every few pixels only, exactly along the rays of those pixels. That suffices to find
-which model points are hidden and whether a pose explains an image.
+The model is rendered only on the coarse pixels, which are every ``stride``-th one along rows and columns,
+exactly along their rays. This suffices to find which model points are hidden and whether a pose explains an
+image.
 """
 
 import math
@@ -24,20 +25,20 @@ from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
 FARTHEST_M = 1e3
-"""Greatest valid depth; the least one is ``NEAREST_M``. Physics: no camera has light for a kilometre."""
+"""Largest valid depth; the least one is ``NEAREST_M``. Physics: no camera has light for a kilometre."""
 HIDDEN_M = 0.03
-"""Distance behind the rendered surface around it from which on a model point is hidden. Hand: a larger value
-keeps points behind thin parts, a smaller one loses points by noise."""
+"""Least distance behind the surrounding rendered surface at which a model point is hidden. Hand: a larger
+value keeps points behind thin parts, a smaller one loses points by noise."""
 
 STRAY_PARTS = 1, 2, 4, 8
-"""Parts of the image over which light may be scattered. Physics: scattered light that is narrower than an
-eighth of the image is the blur of an edge; octaves hold any width within a factor of 1.4."""
+"""Inverse widths of scattered light, over the image. Physics: light that is scattered over less than an
+eighth of the image is the blur of an edge; octaves represent any width within a factor of 1.4."""
 STRAY_STRIDE = 4
 """Distance of the pixels from which stray light is estimated. Numerics: the least part of an image has
 hundreds of pixels, and their mean changes little over four."""
 FOR_PLANE = 6
-"""Least number of pixels from which a plane is taken off. Numerics: a plane has three numbers, and as many
-are left."""
+"""Least number of pixels from which the slope of a plane is subtracted. Numerics: a plane has three
+parameters, and as many degrees of freedom remain."""
 MEDIAN_OVER_MEAN = 1.25
 """Standard deviation of the median of normal errors over that of their mean. Physics: sqrt(pi / 2)."""
 
@@ -49,27 +50,30 @@ class Agreement:
     explained_share: float
     """Weighted share of agreeing pixels among those where model or measurement show a surface."""
     cost_m2: float
-    """Mean squared difference on these pixels, truncated at the tolerance; one-sided pixels count with it."""
+    """Mean squared difference on these pixels. Differences are truncated at the tolerance, and pixels that
+    show a surface only in model or measurement count with the tolerance."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """The pixels' rays of one camera, made by ``of``."""
+    """The rays of one camera's pixels, created by ``of``."""
 
     camera: Camera
     slopes: FloatArray
     """x/z and y/z of every pixel's ray, undistorted, shape (height, width, 2)."""
     coarse: RayGrid
-    """The rays of every ``stride``-th pixel, from ``offset`` on."""
+    """The rays of the coarse pixels, shape (rows, columns)."""
     stride: int
+    """Distance from one coarse pixel to the next, px."""
     offset: int
+    """Row and column of the first coarse pixel, px."""
 
     @classmethod
     def of(cls, camera: Camera, stride: int) -> "DepthView":
         """Return the view of a camera, which is cached from frame to frame.
 
         Raises:
-            rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
+            rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted.
         """
         return _view(*_key(camera), stride)
 
@@ -96,7 +100,13 @@ class DepthView:
         return within
 
     def hidden(self, rendered_m: FloatArray, points_m: FloatArray, pixels: FloatArray) -> NDArray[np.bool_]:
-        """Return which points lie behind the rendered surface on all four coarse pixels around them, (N,)."""
+        """Return which points lie behind the rendered surface of all four coarse pixels around them, (N,).
+
+        Args:
+            rendered_m: z-depth of the target on the coarse pixels, shape (rows, columns), m.
+            points_m: points, sensor axes, shape (N, 3).
+            pixels: their column and row in the image, shape (N, 2).
+        """
         rows, columns = rendered_m.shape
         cell = np.floor((pixels - self.offset) / self.stride)
         column = np.clip(cell[:, 0], 0, columns - 2).astype(np.intp)
@@ -110,7 +120,7 @@ def rays_of(camera: Camera, per_px: int = 1) -> RayGrid:
     """Return ``per_px`` x ``per_px`` rays for each pixel, in single precision, cached from frame to frame.
 
     Raises:
-        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted.
+        rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted.
     """
     return _rays(*_key(camera), per_px)
 
@@ -120,7 +130,7 @@ _Intrinsics = tuple[float, float, float, float]
 
 
 def _key(camera: Camera) -> tuple[_Size, _Intrinsics, tuple[float, ...]]:
-    """Return what determines a camera's rays, to look them up by."""
+    """Return the key by which a camera's rays are cached: size, intrinsics and distortion."""
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     return (camera.width, camera.height), intrinsics, tuple(camera.distortion)
 
@@ -140,7 +150,7 @@ def _rays(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], p
 def _slopes(
     size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...]
 ) -> tuple[RayGrid, FloatArray]:
-    """Return the rays of all pixels, and their slopes, (height, width, 2): a lens takes long to invert."""
+    """Return the rays of all pixels and their slopes, shape (height, width, 2), cached: they take long."""
     rays = RayGrid.pinhole(_camera(size, intrinsics, distortion))
     x, y, z = rays.components
     return rays, np.stack((x / z, y / z), axis=-1)
@@ -162,13 +172,14 @@ def _view(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], s
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """One depth image with its view, made from a frame by ``usable_image``."""
+    """One depth image with its view, created from a frame by ``usable_image``."""
 
     view: DepthView
     depth_m: Float32Array
     """z-depth, shape (height, width); NaN for invalid depth: 0, negative, infinite, ghosts."""
     coarse_m: Float32Array
-    """z-depth on the coarse pixels: the median of each and its neighbours, NaN if most have no depth."""
+    """z-depth on the coarse pixels, shape (rows, columns): the median of each pixel and its neighbours; NaN
+    if most of them have no depth."""
 
     def points(self, count: int) -> FloatArray:
         """Return at most ``count`` points of the coarse pixels in sensor axes, shape (N, 3)."""
@@ -183,7 +194,7 @@ class DepthImage:
     def compare(
         self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
     ) -> Agreement:
-        """Return the agreement of the image with a pose, on the view's coarse pixels."""
+        """Return the agreement of the image with a rendering at a pose, on the coarse pixels."""
         measured, rendered = self.coarse_m, self.view.render(target, T_sensor_target)
         seen, predicted = np.isfinite(measured), np.isfinite(rendered)
         either, both = seen | predicted, seen & predicted
@@ -208,7 +219,7 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     if pixels < config.min_pixels:
         return f"{pixels} pixels with depth, {config.min_pixels} needed"
     if frame.camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(frame.camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     try:
         view = DepthView.of(frame.camera, config.stride_px)
     except DistortionError as error:
@@ -218,12 +229,12 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
 
 
 def stray_light(frame: PmdFrame, share: float) -> Float32Array:
-    """Return the greatest amplitude that light scattered in the lens explains, shape (height, width).
+    """Return the largest amplitude that light scattered in the lens explains, shape (height, width).
 
-    It is a share of the brightness around a pixel: of the image, or of the part of ``STRAY_PARTS`` around the
-    pixel in which it is greatest. Nobody knows how far a lens scatters, and the light of a small target is
-    nowhere a share of the image's mean. Pixels without depth are dark, but those as bright as the others are
-    saturated. Zeros without depth or amplitude.
+    It is a share of the mean brightness around a pixel: of the largest mean over the whole image and over its
+    parts in ``STRAY_PARTS``. It is unknown how far a lens scatters light, and a small target adds little to
+    the mean of the whole image. Pixels without depth count as dark, unless they are as bright as those with
+    depth: then they are saturated. The result is zero without depth or amplitude.
     """
     height, width = frame.depth_m.shape
     sparse = slice(None, None, STRAY_STRIDE)
@@ -245,8 +256,8 @@ def stray_light(frame: PmdFrame, share: float) -> Float32Array:
 def downsampled(depth: Float32Array, stride: int, offset: int) -> Float32Array:
     """Return the median of every ``stride``-th pixel of a depth image and its eight neighbours.
 
-    A pixel has depth if most of the nine have one, so that outlines stay in place. The median reduces noise,
-    which in sunlight exceeds the tolerance between model and measurement.
+    A coarse pixel has depth if most of the nine have one, so that outlines do not move. The median reduces
+    noise, which in sunlight exceeds the tolerance between model and measurement.
 
     Args:
         depth: z-depth, shape (height, width), m, NaN without depth.
@@ -275,8 +286,8 @@ def variance_about_plane(pixels: FloatArray, count: int, steepest: float) -> flo
 
     Args:
         pixels: column, row and depth of each pixel, shape (N, 3), px and m.
-        count: number of these that are used, the first ones.
-        steepest: greatest change of depth of a face from one pixel to the next, m.
+        count: number of pixels in use; they are the first ones.
+        steepest: largest change of depth of a face from one pixel to the next, m.
     """
     if count < 2:
         return 0.0
@@ -304,7 +315,7 @@ class _Moments(NamedTuple):
 
 @kernel
 def _central_moments(pixels: FloatArray, count: int) -> _Moments:
-    """Return the moments of some pixels; arguments as for the variance."""
+    """Return the moments of the first ``count`` pixels; arguments as for ``variance_about_plane``."""
     u_mean, v_mean, z_mean = 0.0, 0.0, 0.0
     for n in range(count):
         u_mean += pixels[n, 0] / count
@@ -333,7 +344,7 @@ def noise_of_medians(
         stride: as for ``downsampled``.
         offset: as for ``downsampled``.
         shape: rows and columns that ``downsampled`` returned.
-        steepest: greatest change of a face's depth from one pixel to the next, over the depth.
+        steepest: largest change of a face's depth from one pixel to the next, over the depth.
     """
     sigma = np.zeros(shape, np.float32)
     height, width = depth.shape

@@ -1,17 +1,17 @@
 """Loss of a pose in a PMD frame: the target is rendered, and every coarse pixel is compared.
 
 On a pixel where both pose and frame show a surface, the loss is half the squared error in standard
-deviations, of the depth and of the amplitude, and saturates at the cost of an outlier. On a pixel where only
+deviations, of the depth and of the amplitude, and saturates at the loss of an outlier. On a pixel where only
 one of them shows a surface, the loss is a constant: small if only the depth is missing, larger if the
-amplitude is inconsistent too. All pixels on which pose or frame show the target count, except those that a
-glint saturated: on these both may be right.
+amplitude is inconsistent too. All pixels on which pose or frame show the target are compared, except those
+that a glint saturated: they tell nothing about the pose.
 
 The expected amplitude is that of a Lambertian surface lit from the camera: the albedo of its class
 (``brightness``) times the cosine of incidence over the square of the range, up to one gain for the frame. The
 class also gives the standard deviation of the albedo's logarithm, which is large for foil and metal.
 
-If the materials may differ from those of the target file, no amplitude is compared, and the expectation
-whether a surface is brighter than the sky is only rough: then the shape alone is compared.
+If the materials may differ from those of the target file, no amplitude is compared, and it is only roughly
+predicted whether a surface is brighter than the sky. Then only the shape is compared.
 """
 
 from dataclasses import dataclass
@@ -22,28 +22,28 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
 from rpod_pose.pmd.simpler_surface import Surface
 from rpod_pose.registration.lie_group import PoseArrays, turned
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdModelConfig
 from rpod_schemas.types import Float32Array
 
 STEEPEST = 0.1
-"""Least cosine of incidence in the effect of the slack along the ray. Numerics: it avoids a division by zero;
-it is 84 deg."""
+"""Least cosine of incidence by which the slack along the normal is converted to the ray. Numerics: it avoids
+a division by zero; the angle is 84 deg."""
 GRAZING = 0.02
 """Least cosine of incidence in the expected amplitude. Numerics: it avoids the logarithm of zero."""
 DARK = -1.0
 """Logarithm of the least amplitude that is compared. Numerics: it is less than one count."""
 BLURRED_PX = 1.5
-"""Distance over which the outline may light pixels. Physics: half a pixel's own width, and one of the 3 x 3
-median."""
+"""Distance from the outline within which a pixel may be lit, px. Physics: half the width of a pixel, and one
+pixel by the 3 x 3 median."""
 MARGIN = 6
-"""Rows and columns beside the lit pixels that a pose may reach. Numerics: a budget; a pose that moves farther
-is compared with fewer pixels."""
+"""Number of rows and columns around the lit pixels that are compared. Numerics: a budget; a pose that reaches
+farther is compared on fewer pixels."""
 GAIN_STRIDE = 3
 """Stride of the pixels from which the gain is estimated. Numerics: a budget of computation."""
 
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
     """A frame's coarse pixels; each array has the shape (rows, columns)."""
 
     range_m: Float32Array
-    """Range along the ray; 0 on pixels without one."""
+    """Range along the ray; 0 if a pixel has none."""
     sigma_m: Float32Array
     """Standard deviation of the range's noise."""
     log_amplitude: Float32Array
@@ -66,24 +66,24 @@ class Seen(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Costs of errors, and their expected sizes."""
+    """Losses of errors, and the expected sizes of errors."""
 
     sigma_m: float
     """Standard deviation of a depth in addition to its noise."""
     slack_m: float
     """Standard deviation of the surface's position along its normal."""
     outlier: float
-    """Greatest loss of a depth."""
+    """Largest loss of a depth."""
     amplitude_outlier: float
-    """Greatest loss of an amplitude; 0 if none is compared."""
+    """Largest loss of an amplitude; 0 if no amplitude is compared."""
     least_log_amplitude: float
     """Logarithm of the least amplitude of a lit pixel."""
     lost: float
-    """Loss of a lit pixel without depth where the pose has surface."""
+    """Loss of a lit pixel without depth where the rendering has a surface."""
     dark: float
-    """Loss of a dark pixel where the pose has surface."""
+    """Loss of a dark pixel where the rendering has a surface."""
     beyond: float
-    """Loss of a lit pixel where the pose has none."""
+    """Loss of a lit pixel where the rendering has no surface."""
 
 
 class Canvas(NamedTuple):
@@ -100,7 +100,7 @@ class Canvas(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """A frame with everything that is needed to compare it with poses."""
+    """A frame with all data that are needed to compare it with poses."""
 
     surface: Surface
     grid: GridArrays
@@ -175,8 +175,14 @@ class PmdFitter:
         )
 
     def fit(self, R: FloatArray, t: FloatArray, *, bias_m: float = 0.0) -> PmdFit:
-        """Return the loss of a pose R, t of the target, if all ranges are ``bias_m`` too long."""
-        step()
+        """Return the loss of a pose, with all ranges shortened by a bias.
+
+        Args:
+            R: R_sensor_target, shape (3, 3).
+            t: position of the target, sensor axes, shape (3,), m.
+            bias_m: length by which all ranges are too long.
+        """
+        stop_if_cancelled()
         compared, seen = self._compared, self._compared.seen
         if bias_m:
             range_m = np.where(seen.range_m > 0.0, seen.range_m - np.float32(bias_m), np.float32(0.0))
@@ -188,12 +194,12 @@ class PmdFitter:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the pose R, t of least loss near a given one, and the deviations of the next samples.
 
-        The loss has no gradient at outlines, so it is sampled from a normal distribution that follows the
+        The loss has no gradient at outlines. So poses are sampled from a normal distribution that follows the
         best samples (the cross-entropy method, R. Y. Rubinstein, 1999).
 
         Args:
             R: R_sensor_target, shape (3, 3).
-            t: position of the target in the sensor, shape (3,), m.
+            t: position of the target, sensor axes, shape (3,), m.
             deviations: sigmas of (dtau, dtheta) as in ``normal_equations``, m and rad, shape (6,).
             draws: standard normal samples, shape (rounds, samples, 6).
         """
@@ -281,8 +287,8 @@ def _facing(normal: FloatArray, R: FloatArray, x: float, y: float, z: float) -> 
 def _predict(compared: Comparison, R: FloatArray) -> float:
     """Fill the log amplitudes predicted up to a gain, and their sigmas; return the logarithm of the gain.
 
-    The expectation is Lambert's: albedo cos(theta) / range^2. The gain is a median, weighted by the inverse
-    variance of each pixel's log albedo. ``R`` turns target axes to sensor axes, shape (3, 3).
+    The prediction follows Lambert's law: albedo cos(theta) / range^2. The gain is a median, weighted by the
+    inverse variance of each pixel's log albedo. ``R`` turns target axes to sensor axes, shape (3, 3).
     """
     surface, grid, seen, _, canvas = compared
     range_m, owner, predicted, sigma_log = canvas

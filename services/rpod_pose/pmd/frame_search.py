@@ -28,10 +28,10 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 ANY_ECHO = 0.0, np.ones(1)
-"""Steps and table (``energies``) of a sensor that detects everything."""
+"""Steps and table (``energies``) of a sensor that detects every echo."""
 FIELD_STEPS = np.geomspace(1.0, 0.2, 6)
 """Geman-McClure scales of the steps that align a candidate with the frame, over the truncation. Numerics: the
-steps narrow from wide, which converges from farther, to close."""
+wide scales of the first steps converge from farther, the narrow ones of the last steps are more accurate."""
 FINE_STEPS = np.geomspace(0.3, 0.1, 6)
 """Geman-McClure scales of the steps that refine the best candidates, over the truncation. Numerics: as
 ``FIELD_STEPS``, from poses that these have aligned."""
@@ -39,16 +39,16 @@ _ROUNDS, _SAMPLES = 6, 32
 """Number of rounds of the refinement on the outline, and of samples in each. Numerics: a budget of
 computation."""
 _FIRST_ROUNDS = 2
-"""Rounds of the refinement on the outline after which poses are compared. Numerics: a budget of
+"""Number of rounds of the refinement on the outline after which poses are compared. Numerics: a budget of
 computation."""
 _POWER = 8
-"""Power of two of the samples that are made. Numerics: a Sobol sequence is even at powers of two; 2^8 samples
-or fewer are used."""
+"""Logarithm to base 2 of the number of computed samples. Numerics: a Sobol sequence is even at powers of two;
+at most 2^8 samples are used."""
 
 
 @cache
 def _draws() -> FloatArray:
-    """Return standard normal samples, spread evenly, the same in every search, (_ROUNDS, _SAMPLES, 6)."""
+    """Return evenly spread standard normal samples, deterministic, shape (_ROUNDS, _SAMPLES, 6)."""
     even = sobol(6, _POWER)[: _ROUNDS * _SAMPLES].clip(1e-3, 1.0 - 1e-3)
     samples: FloatArray = ndtri(even).reshape(_ROUNDS, _SAMPLES, 6)
     return samples
@@ -56,11 +56,14 @@ def _draws() -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose of the target in the sensor, with its loss in the frame."""
+    """A pose of the target relative to the sensor, with its loss in the frame."""
 
     R: FloatArray
+    """R_sensor_target, shape (3, 3)."""
     t: FloatArray
+    """Position of the target's origin, sensor axes, shape (3,), m."""
     fit: PmdFit
+    """Loss of the pose in the frame."""
     deviations: FloatArray | None = None
     """Standard deviations of the samples in the next round of the refinement on the outline, shape (6,)."""
 
@@ -100,8 +103,9 @@ class FrameSearch:
         tuning: parameters of the search.
         model: the target.
         scene: the frame's coarse pixels.
-        fitter: compares them with poses.
-        possible: whether a pose near a given one may be the target's; the others are not refined to the end.
+        fitter: compares the coarse pixels with poses.
+        possible: function that returns whether a pose near a given one may be that of the target; other poses
+            are not refined completely.
     """
 
     def __init__(
@@ -133,12 +137,12 @@ class FrameSearch:
     def search(
         self, attitudes: Float32Array, around: FloatArray | None, others: Iterable[Pose] = ()
     ) -> list[Pose]:
-        """Return distinct poses, best first; empty if the sensor sees the target at no attitude.
+        """Return distinct poses, best first; empty if the target is in view at no attitude.
 
         Args:
             attitudes: initial R_sensor_target, shape (M, 3, 3).
-            around: R_sensor_target, shape (3, 3), near which all poses must be; None for any.
-            others: poses that were found in another way, which are compared as well.
+            around: R_sensor_target, shape (3, 3), near which all poses must be; None for any attitude.
+            others: poses that were found in another way and are compared, too.
         """
         tuning = self._tuning
         refined = tuning.refined if around is None else tuning.near_refined
@@ -158,10 +162,11 @@ class FrameSearch:
         return self._finished(self._distinct(found)[: tuning.finished])
 
     def _finished(self, poses: Iterable[Pose]) -> list[Pose]:
-        """Return refined poses, on the outline too; those that may still be the best in all rounds.
+        """Return refined poses; those that may be the best are refined on the outline, too.
 
-        Losses are compared after some rounds of that. Depth alone may leave the right pose some degrees off
-        if there is little of it, and such a pose has a far greater loss than a wrong one that fits by chance.
+        After the first rounds of this refinement, losses are compared, and only poses that may still be the
+        best are refined further. The comparison does not come earlier: little depth may leave the right pose
+        some degrees off, and then its loss is much larger than that of a wrong pose that fits by chance.
         """
         refined = self._distinct(self._refined(pose) for pose in poses)
         if not refined:
@@ -185,19 +190,19 @@ class FrameSearch:
         return Pose(R, t, self._fitter.fit(R, t))
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:
-        """Return a rough pose aligned with some of the points, or unchanged if that increases the loss."""
+        """Return a rough pose aligned with few of the points, or unchanged if that increases the loss."""
         field = self._model.surface.coarse_field
         aligned = field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m)
         return min(self._fitted(*aligned), self._fitted(R, t), key=lambda one: one.fit.loss)
 
     def turned(self, pose: Placed, left_out: NDArray[np.bool_], shape: PmdFitter, most: float) -> list[Pose]:
-        """Return the likely turns of a pose: all declared ones in place, and the best others aligned.
+        """Return the likely turns of a pose: all declared ones unaligned, and the best others aligned.
 
         Args:
             pose: a pose of the target.
-            left_out: which of ``Turns.compared`` are not asked for, shape (N,).
-            shape: compares the frame with poses, whatever the materials.
-            most: greatest loss of a likely pose by the shape.
+            left_out: mask of the turns in ``Turns.compared`` that are left out, shape (N,).
+            shape: compares the frame with poses by shape alone.
+            most: largest loss of a likely pose by shape.
         """
         turns = self._model.turns
         declared: list[tuple[float, Pose]] = []
@@ -225,7 +230,7 @@ class FrameSearch:
         return Pose(R, t, self._fitter.fit(R, t), deviations)
 
     def _turned(self, pose: Pose, around: FloatArray | None) -> list[Pose]:
-        """Return a pose's near-symmetries in place, and its best other rotations aligned by the centroid."""
+        """Return a pose's near-symmetries at its position, and its best other turns at the centroid."""
         turns = self._model.turns
         exactly = pose.R @ turns.all
         turned = exactly.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The PMD camera's methods as the registry names them, behind the preparation of its depth."""
+"""The PMD camera's methods under their names in the registry, each with the preparation of its depth."""
 
 from collections.abc import Callable
 
@@ -48,15 +48,16 @@ _WRAPPING = PmdInfo(
     electrons_per_count=1.0,
     saturation_count=4096.0,
 )
-"""Info of a camera whose distances have to be unwrapped."""
+"""Info of a camera whose distances must be unwrapped, for the warm-up."""
 _STRIDE = 4
 """Stride of the view from which the rays of all pixels are read. Numerics: any value gives the same rays."""
 LEAST_BIAS_M = 0.001
-"""Least standard deviation of the bias left by a calibration. Hand: none stays more accurate for long."""
+"""Least standard deviation of the bias after a calibration, m. Hand: no calibration stays more accurate for
+long."""
 
 
 def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
-    """Return the facility's own search; the joint tracker refines its result, whatever tracks the frames."""
+    """Return the facility's own search; the joint tracker refines its result with any configured tracker."""
     if isinstance(task.tracker, ComparingTracker) and isinstance(task.sensor.tracking, JointConfig):
         return ViewSearch(config, task.target, task.tracker)
     finisher = joint(JointConfig(), task)
@@ -64,7 +65,7 @@ def view_search(config: PmdAcquisitionConfig, task: Task) -> Acquirer[PmdFrame]:
 
 
 def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the facility's own tracker, which assumes the range bias that the calibration states."""
+    """Return the facility's own tracker; it assumes the remaining range bias that the calibration states."""
     calibration = task.sensor.calibration
     if calibration is not None:
         tuning = config.tuning
@@ -76,12 +77,12 @@ def joint(config: JointConfig, task: Task) -> Tracker[PmdFrame]:
 
 
 def frames_of(sensor: PmdInput) -> PmdFrames:
-    """Return the separation of a camera's frames."""
+    """Return the functions that separate a camera's frames into the target and other things."""
     return PmdFrames(max(sensor.range_offset_sigma_m, LEAST_BIAS_M))
 
 
 def signed_distance(config: SignedDistanceConfig, task: Task) -> Tracker[PmdFrame]:
-    """Return the tracker by depth alone, in the distance field."""
+    """Return the tracker that uses depth alone, in the distance field."""
     return SignedDistanceTracker(config, task.target)
 
 
@@ -128,7 +129,7 @@ def make_tracker(task: Task) -> Tracker[PmdFrame]:
 
 
 def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) -> tuple[PmdFrame, PmdFrame]:
-    """Return a frame without noise twice: without and with the info by which distances are unwrapped."""
+    """Return a frame without noise twice: without and with the info from which distances are unwrapped."""
     camera = Camera(width=352, height=287, fx=682.75, fy=691.42, cx=175.5, cy=143.0)
     grid = RayGrid.pinhole(camera)
     hits = cast(grid, target.triangles_m, T_optical_target)
@@ -142,7 +143,7 @@ def ideal_frames(target: Target, T_optical_target: RigidTransform, _: object) ->
 
 
 def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) -> PmdFrame:
-    """Return a frame without depth and without light in the pixels whose points a function is true for."""
+    """Return a frame without depth and amplitude in the pixels for whose points a function is true."""
     places_m = _places_m(frame)
     if places_m is None:
         return frame
@@ -156,14 +157,14 @@ def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) ->
 
 
 def frames(sensor: PmdInput, _: object) -> PmdFrames:
-    """Return the separation of a camera's frames, whatever its setup."""
+    """Return the separation of a camera's frames, which does not depend on its setup."""
     return frames_of(sensor)
 
 
 def _places_m(frame: PmdFrame) -> Float32Array | None:
-    """Return the point of each pixel, optical axes, shape (H, W, 3), NaN without depth; None without a lens.
+    """Return the point of each pixel, optical axes, shape (H, W, 3), m; NaN without depth.
 
-    The methods tell what is wrong with the lens.
+    None if the lens cannot be inverted or has another image size; the methods then report the reason.
     """
     try:
         slopes = DepthView.of(frame.camera, _STRIDE).slopes

@@ -1,4 +1,4 @@
-"""Ranges of a PMD frame, and the frame without what belongs to other things than the target."""
+"""Separation of a PMD frame: its ranges, and the frame without the pixels of other things than the target."""
 
 import cv2
 import numpy as np
@@ -12,31 +12,31 @@ from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
 COARSE_RAYS, FINE_RAYS = 8_000, 250_000
-"""Most rays of an image for the search of places, and for the comparison with a rendering. Numerics: budgets
-of computation."""
+"""Largest number of rays of an image for the search of places, and for the comparison with a rendering.
+Numerics: budgets of computation."""
 LEAST_SKY = 0.05
-"""Least share of the image from which the amplitude of the sky is taken. Hand: in a room there is none, but a
-few dark pixels."""
+"""Least share of dark pixels in an image from which the amplitude of the sky is estimated. Hand: a room has
+no sky, but a few dark pixels."""
 DARK = 0.1
-"""Greatest amplitude of a ray that meets nothing, over the median amplitude on the target. Hand: below the
-shades of a target's materials."""
+"""Largest amplitude of a pixel that shows only sky, over the median amplitude on the target. Hand: it is
+below that of a target's materials."""
 
 
 _SIGMA_OF_BEND = 1.21
-"""Standard deviation of a normal error over the median size of one less the mean of two others. Physics:
-1.483 / sqrt(1.5)."""
+"""Standard deviation of a normal error over the median absolute difference of one value and the mean of two
+others. Physics: 1.483 / sqrt(1.5)."""
 _BESIDE = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
-"""The four pixels that share a side with one."""
+"""The four pixels that share a side with a pixel."""
 _MOST = 4
-"""Half of the pixels around one. Physics: of the eight around a pixel at the straight outline of a dark
-target three or less are beside the target."""
+"""Half of the neighbours of a pixel. Physics: of the eight neighbours of a pixel at the straight outline of a
+dark target, at most three are beside the target."""
 _AROUND, _NEAR_PX = np.ones((3, 3), np.uint8), (5, 5)
-"""A pixel with those around it, and the size, px, in which one finds pixels that see other things alone.
-Hand: two pixels to each side are past the blur."""
+"""A pixel with its neighbours, and the size, px, of the window in which pixels of other things alone are
+searched. Hand: two pixels to each side are beyond the blur."""
 
 
 class PartOfFrame(PmdFrame):
-    """A frame reduced to one place, with the whole frame, in which a pose is verified."""
+    """A frame that is reduced to one place, together with the whole frame, in which a pose is verified."""
 
     whole: PmdFrame
     """The frame as measured."""
@@ -53,7 +53,7 @@ class PmdFrames:
         self.range_bias_m = range_bias_m
 
     def image(self, frame: PmdFrame, *, fine: bool) -> RangeImage | None:
-        """Return the ranges of every few pixels; None if the lens cannot be inverted."""
+        """Return the ranges on a coarse or fine grid of pixels; None if the lens cannot be inverted."""
         stride = _stride(frame, FINE_RAYS if fine else COARSE_RAYS)
         if frame.camera.distortion[LENS_COEFFICIENTS:].any():
             return None
@@ -71,9 +71,10 @@ class PmdFrames:
         return RangeImage(grid, range_m, hidden, noise_m, Every(stride, view.offset))
 
     def separated(self, frame: PmdFrame, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> PmdFrame:
-        """Return a frame that is dark beside the target, and saturated where something hides it.
+        """Return a frame that is dark beside the target, and marked as hidden where something hides it.
 
-        Without an amplitude no pixel can be dark: what lies beyond the target inside its outline stays.
+        Without an amplitude no pixel can be dark. Then things behind the target stay where they are visible
+        within its outline.
         """
         measured, shape, every = frame.depth_m > 0.0, frame.depth_m.shape, _every_fine(frame)
         label = _of_unmeasured(upsampled(labels, every, shape), measured)
@@ -93,7 +94,12 @@ class PmdFrames:
         return frame.model_copy(update=images)
 
     def behind_bodies(self, frame: PmdFrame, hides: NDArray[np.bool_]) -> PmdFrame:
-        """Return a frame without the pixels on known bodies, given by the rays of its fine image."""
+        """Return a frame without the pixels on known bodies.
+
+        Args:
+            frame: the frame.
+            hides: whether a known body is on a ray of the frame's fine image, shape (rows, columns).
+        """
         labels = np.where(hides, Label.HIDING, Label.KEPT).astype(np.uint8)
         hidden = upsampled(hides, _every_fine(frame), frame.depth_m.shape)
         separated = self.separated(frame, labels, np.zeros(hides.shape, np.bool_))
@@ -102,13 +108,13 @@ class PmdFrames:
         return separated.model_copy(update={"hidden": hidden})
 
     def nearer(self, frame: PmdFrame, ratio: float) -> PmdFrame:
-        """Return a frame whose depths are smaller by a ratio."""
+        """Return a frame whose depths are divided by a ratio."""
         depth_m = np.asarray(frame.depth_m / np.float32(ratio), np.float32)
         depth_m.setflags(write=False)  # as from the bus
         return frame.model_copy(update={"depth_m": depth_m})
 
     def part_of(self, part: PmdFrame, whole: PmdFrame) -> PmdFrame:
-        """Return a part of a frame with the whole one."""
+        """Return a part of a frame together with the whole frame."""
         return PartOfFrame.model_construct(**dict(part), whole=whole)
 
     def whole_of(self, frame: PmdFrame) -> PmdFrame | None:
@@ -116,17 +122,17 @@ class PmdFrames:
         return frame.whole if isinstance(frame, PartOfFrame) else None
 
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
-        """Return the z-depth of each pixel, as measured: gate and background refer to it."""
+        """Return the measured z-depth of each pixel, to which gate and background refer."""
         return frame.range_image_m
 
 
 def _stride(frame: PmdFrame, rays: int) -> int:
-    """Return the distance of the pixels, px, of which an image has at most about a number."""
+    """Return the stride of pixels, px, at which an image has at most about ``rays`` of them."""
     return int(np.ceil(np.sqrt(frame.depth_m.size / rays)))
 
 
 def _every_fine(frame: PmdFrame) -> Every:
-    """Return which pixels the fine image of a frame has."""
+    """Return stride and offset of the pixels in the fine image of a frame."""
     stride = _stride(frame, FINE_RAYS)
     return Every(stride, offset_of(frame.camera, stride))
 
@@ -151,10 +157,10 @@ def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:
 
 
 def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return labels in which a pixel without a range belongs to the thing that it is a part of.
+    """Return labels in which a pixel without a range has the label of the thing to which it belongs.
 
-    A surface loses the range of single pixels, and a dark or remote part of a room that of all its pixels.
-    Their light would seem to be a part of the target without a range.
+    A surface may lack the range of single pixels, and a dark or remote part of a room that of all its pixels.
+    Without labels, their light would seem to be a part of the target without a range.
 
     Args:
         label: ``Label`` of each pixel, shape (height, width).
@@ -176,14 +182,14 @@ def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDA
 
 
 def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: float) -> Array:
-    """Return the amplitudes of the outline's pixels without the light of what is beyond, (height, width).
+    """Return the amplitudes of the outline's pixels without the light of the background, (height, width).
 
-    A pixel at the outline sees the target and what is behind it. Its range is between both, nearer to that of
-    which it gets more light. With the amplitudes on both sides this tells how much of the pixel the target
-    covers. A pixel at the range of what is behind is not covered at all, as those of a camera that does not
-    mix ranges. Where the target or the pixel has no range, the amplitude itself lies between those of both
-    sides. Where a side is not known a half counts, which is right on average. The target's light is at most
-    that of the whole pixel.
+    A pixel at the outline shows the target and the background. Its range lies between both ranges, nearer to
+    the one from which it gets more light. Together with the amplitudes on both sides, this gives the share of
+    the pixel that the target covers. A pixel with the range of the background is not covered at all; a camera
+    that does not mix ranges has only such pixels. If the target or the pixel has no range, the amplitude is
+    used in the same way. If a side is unknown, the share is a half, which is right on average. The target's
+    light is at most that of the whole pixel.
     """
     near_m, lit = sides.range_of_target(frame.depth_m), sides.light_of_target(amplitude)
     far_m, behind = sides.mean_of_others(frame.depth_m), sides.mean_of_others(amplitude)
@@ -214,36 +220,36 @@ class _Sides:
     ) -> None:
         self._kept, self._ranged = kept.astype(np.float32), (kept & measured).astype(np.float32)
         self.touches: NDArray[np.bool_] = cv2.filter2D(self._kept, -1, _BESIDE) > 0.5
-        """Pixels beside one of the target."""
+        """Whether a pixel shares a side with one of the target."""
         beside = cv2.dilate(others.astype(np.uint8), _AROUND) > 0
         self.unclear: NDArray[np.bool_] = kept & ~measured & beside
-        """Pixels without a range that may be the target's, beside another thing."""
+        """Whether a pixel without a range may show the target and is beside another thing."""
         self._inner = (kept & ~beside).astype(np.float32)
         self._others = (others & ~(cv2.dilate(kept.astype(np.uint8), _AROUND) > 0)).astype(np.float32)
 
     def light_of_target(self, amplitude: Array) -> Float32Array:
-        """Return the mean of the target's pixels that share a side with each pixel; NaN without one."""
+        """Return the mean amplitude of the target's pixels that share a side with each one; NaN for none."""
         return _mean(amplitude, self._kept)
 
     def range_of_target(self, depth_m: Float32Array) -> Float32Array:
-        """Return the same mean of the pixels with a range."""
+        """Return the mean depth of the target's pixels that share a side with each one; NaN for none."""
         return _mean(depth_m, self._ranged)
 
     def mean_of_inner(self, image: Array) -> Float32Array:
-        """Return the mean of the pixels around each pixel that see the target alone; NaN without one."""
+        """Return the mean of the pixels around each pixel that show only the target; NaN for none."""
         return _mean_around(image, self._inner)
 
     def mean_of_others(self, image: Array) -> Float32Array:
-        """Return the mean of the pixels around each pixel that see other things alone; NaN without one."""
+        """Return the mean of the pixels around each pixel that show only other things; NaN for none."""
         return _mean_around(image, self._others)
 
 
 def _mean_around(image: Array, pixels: Float32Array) -> Float32Array:
-    """Return the mean of those pixels that lie around each pixel, (height, width); NaN without one.
+    """Return the mean of the chosen pixels around each pixel, shape (height, width); NaN for none.
 
     Args:
         image: values, shape (height, width).
-        pixels: 1 at the pixels that count, 0 elsewhere, same shape.
+        pixels: 1 at the chosen pixels, 0 elsewhere, same shape.
     """
     sums, count = (
         cv2.boxFilter(part, -1, _NEAR_PX, normalize=False)
@@ -253,11 +259,11 @@ def _mean_around(image: Array, pixels: Float32Array) -> Float32Array:
 
 
 def _mean(image: Array, pixels: Float32Array) -> Float32Array:
-    """Return the mean of those pixels that share a side with each pixel, (height, width); NaN without one.
+    """Return the mean of the chosen pixels that share a side with each pixel, (height, width); NaN for none.
 
     Args:
         image: values, shape (height, width).
-        pixels: 1 at the pixels that count, 0 elsewhere, same shape.
+        pixels: 1 at the chosen pixels, 0 elsewhere, same shape.
     """
     sums, count = (
         cv2.filter2D(part, -1, _BESIDE)
@@ -267,7 +273,7 @@ def _mean(image: Array, pixels: Float32Array) -> Float32Array:
 
 
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> float:
-    """Return the amplitude of a pixel that sees nothing: that of the dark pixels without depth."""
+    """Return the amplitude of a pixel that shows only sky: the median of the dark pixels without depth."""
     assert frame.amplitude is not None  # noqa: S101 - the caller's condition
     most = DARK * float(np.median(frame.amplitude[kept])) if kept.any() else 1.0
     dark = frame.amplitude[~(frame.depth_m > 0.0) & (frame.amplitude < most) & (frame.amplitude > 0)]

@@ -1,8 +1,8 @@
 """The target rendered at a pose on the coarse pixels, with additional rays between them on demand.
 
 Coarse pixels lie several pixels apart. A few additional rays show whether a range, or a dark pixel, may
-belong to a surface one or two pixels away; they are cast only at the triangles that the pixel and its
-neighbours show.
+belong to a surface one or two pixels away. These rays are tested only against the triangles that the pixel
+and its neighbours show.
 """
 
 from dataclasses import dataclass
@@ -25,36 +25,39 @@ target's smoothed image."""
 
 
 class Window(NamedTuple):
-    """The pixels of a rendering around the target; beyond them there is sky alone."""
+    """The pixels of a rendering around the target; all other pixels show only sky."""
 
     row: int
     """First row."""
     column: int
     """First column."""
     rows: int
+    """Number of rows."""
     columns: int
+    """Number of columns."""
 
 
 class FineRanges(NamedTuple):
     """Ranges of a rendering with several rays for each pixel, which shows thin parts."""
 
     range_m: Float32Array
-    """Range along each ray, inf without a hit, shape (rows, columns); empty without such a rendering."""
+    """Range along each ray, shape (rows, columns), inf if it hits nothing; shape (0, 0) without such a
+    rendering."""
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
     row: int
-    """Row of the ray in the middle of the first coarse pixel; may be outside."""
+    """Row of the ray in the middle of the first coarse pixel; it may be outside the array."""
     column: int
     """Column of that ray."""
 
 
 COARSE_ONLY = FineRanges(np.empty((0, 0), np.float32), 1, 0, 0)
-"""No rays but those of the coarse pixels."""
+"""Stands for no rendering with more rays than those of the coarse pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """The target as every coarse pixel sees it, with the data for additional rays between them."""
+    """The target rendered on the coarse pixels, with the data for additional rays between them."""
 
     range_m: NDArray[np.float32]
     """Range along the ray, inf on pixels that miss the target, shape (rows, columns)."""
@@ -71,7 +74,7 @@ class Rendering:
     R: FloatArray
     """R_sensor_target, shape (3, 3)."""
     t: FloatArray
-    """Position of the target in the sensor, shape (3,), m."""
+    """Position of the target, sensor axes, shape (3,), m."""
 
     @property
     def px_per_m(self) -> float:
@@ -80,20 +83,20 @@ class Rendering:
 
     @property
     def arrays(self) -> "RenderingArrays":
-        """The rendering as the kernels take it."""
+        """The rendering in the form that the kernels take."""
         rays, pose = self.grid.components, PoseArrays(self.R, self.t)
         return RenderingArrays(self.range_m, self.triangle, rays, self.stride, self.triangles_m, pose)
 
 
 class RenderingArrays(NamedTuple):
-    """``Rendering``, as the kernels take it."""
+    """``Rendering`` in the form that the kernels take."""
 
     range_m: Float32Array
     """Range along the ray, inf on pixels that miss the target, shape (rows, columns)."""
     triangle: NDArray[np.int32]
     """Index of the visible triangle, -1 on pixels that miss the target, same shape."""
     rays: FloatArray
-    """Unit rays of the coarse pixels, shape (3, rows, columns), two rows and columns or more."""
+    """Unit rays of the coarse pixels, shape (3, rows, columns), at least two rows and columns."""
     stride: int
     """Distance from one coarse pixel to the next, px, at least 1."""
     triangles_m: FloatArray
@@ -107,14 +110,14 @@ class Around(NamedTuple):
     low: float
     """Least range, m; inf if no ray hits."""
     high: float
-    """Greatest range, m; 0 if no ray hits."""
+    """Largest range, m; 0 if no ray hits."""
     hits: int
     """Number of rays that hit."""
 
 
 @inner_kernel
 def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
-    """Return the least and greatest range in and around a coarse pixel, and the number of hits of nine rays.
+    """Return the least and largest range in and around a coarse pixel, and the number of hits of nine rays.
 
     Args:
         rendered: the target at a pose.
@@ -158,7 +161,7 @@ def around(rendered: RenderingArrays, i: int, j: int, reach: float) -> Around:
 
 @inner_kernel
 def _any_within(owner: NDArray[np.int32], i: int, j: int, width: int) -> bool:
-    """Return whether a triangle, -1 for none, is in ``owner``, (rows, columns), within a number of both."""
+    """Return whether ``owner``, shape (rows, columns), shows a triangle at most ``width`` pixels from one."""
     rows, columns = owner.shape
     for v in range(max(i - width, 0), min(i + width + 1, rows)):
         for u in range(max(j - width, 0), min(j + width + 1, columns)):
@@ -169,7 +172,7 @@ def _any_within(owner: NDArray[np.int32], i: int, j: int, width: int) -> bool:
 
 @inner_kernel
 def _around_coarsely(rendered: RenderingArrays, i: int, j: int, width: int) -> Around:
-    """Return the extremes of the coarse pixels within a number of rows and columns, and 1 if any hits."""
+    """Return the least and largest range of the coarse pixels at most ``width`` from one; 1 hit if any."""
     low, high, hits = np.inf, 0.0, 0
     rows, columns = rendered.triangle.shape
     for v in range(max(i - width, 0), min(i + width + 1, rows)):
@@ -182,14 +185,14 @@ def _around_coarsely(rendered: RenderingArrays, i: int, j: int, width: int) -> A
 
 @inner_kernel
 def around_finely(fine: FineRanges, stride: int, i: int, j: int, reach: float) -> Around:
-    """Return the extremes of all fine ranges within ``reach``, and the hits among nine of them.
+    """Return the least and largest fine range within ``reach``, and the number of hits among nine rays.
 
     Args:
         fine: ranges of the fine rays.
         stride: distance from one coarse pixel to the next, px.
         i: row of the coarse pixel.
         j: column of the coarse pixel.
-        reach: distance within which ranges count, along rows and columns, px.
+        reach: distance within which ranges are used, along rows and columns, px.
     """
     rows, columns = fine.range_m.shape
     row, column = fine.row + fine.per_px * stride * i, fine.column + fine.per_px * stride * j
@@ -232,7 +235,7 @@ def _place(triangle: FloatArray, R: FloatArray, t: FloatArray, corner: FloatArra
 
 @inner_kernel
 def _per_range(corner: FloatArray, ray: FloatArray) -> float:
-    """Return one over the range at which a ray meets a triangle seen from outside; 0 if it misses.
+    """Return the inverse of the range at which a ray meets a triangle seen from outside; 0 if it misses.
 
     The test is that of ``rpod_geometry.rays``; the ray is assumed to have unit length.
 
@@ -260,7 +263,7 @@ def _product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
 
 @kernel
 def window_of(triangle: NDArray[np.int32], per_px: int) -> Window:
-    """Return the pixels around the target, as far as ``SKY_PX`` beyond it; a corner if none shows it.
+    """Return the pixels at most ``SKY_PX`` from the target; those at a corner of the image if none shows it.
 
     Args:
         triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).

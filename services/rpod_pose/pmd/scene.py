@@ -1,7 +1,7 @@
-"""One PMD frame on every few pixels: depth, amplitude, and pixels that are lit without depth.
+"""One PMD frame on its coarse pixels: depth, amplitude, and pixels that are lit but have no depth.
 
-Depth is lost where the target is dark, glints or is seen at a grazing angle. The amplitude remains there, and
-shows the outline against the black sky.
+Depth is missing where the target is dark, glints or is seen at a grazing angle. The amplitude is still
+measured there, and shows the outline against the black sky.
 """
 
 from dataclasses import dataclass
@@ -24,25 +24,25 @@ DARKEST_PERCENT = 2.0
 """Percentile of the amplitudes of pixels with depth that stands for the darkest of them. Hand: a lower
 percentile is noise, a higher one leaves dark materials out."""
 SEGMENTATION_ROUNDS = 5
-"""Largest number of times that a ball around the target is moved to the median of the points in it. Numerics:
-a budget of computation."""
+"""Largest number of iterations in which a ball around the target moves to the median of the points in it.
+Numerics: a budget of computation."""
 REACH = 1.5
-"""Radius, in radii of the target, around the median of its visible points that contains all of them. Hand:
-about ``separation.BALL``."""
+"""Radius of a ball around the median of the target's visible points that contains all of them, over the
+target's radius. Hand: about ``separation.BALL``."""
 SKY_SPREADS, LEAST_AMPLITUDE = 9.0, 1.0
-"""Least amplitude of a lit pixel: median absolute deviations above the sky (six sigma), and counts. Physics:
-six standard deviations of normal noise; a digital amplitude has no step below one count."""
+"""Least amplitude of a lit pixel: in median absolute deviations above the sky, and in counts. Physics: six
+standard deviations of normal noise; a digital amplitude has no step below one count."""
 MOST_GLINTS = 0.9
-"""Greatest share of zeros among dark pixels by glints. Hand: more zeros are a sky whose amplitude has no
-noise."""
+"""Largest share of the dark pixels that may be zero because of glints. Hand: with more zeros, they are a sky
+whose amplitude has no noise."""
 WIPED, TOUCHED = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
-"""Smallest shape of a glint, and the shape within which a glint changes medians. Physics: medians of 3 x 3
-pixels wipe what is smaller, and reach as far."""
+"""Smallest shape of a glint, and the shape within which a glint changes medians. Physics: a median of 3 x 3
+pixels removes smaller glints, and reaches as far."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImagePoints:
-    """Points that an image shows: ``energy.Returns``."""
+    """Points of an image: ``energy.Returns``."""
 
     points_m: FloatArray
     """Positions, sensor axes, shape (N, 3)."""
@@ -55,23 +55,23 @@ class ImagePoints:
 
 @dataclass(frozen=True, eq=False)
 class PmdScene:
-    """A frame's coarse pixels, made by ``scene_of``."""
+    """A frame's coarse pixels, created by ``scene_of``; arrays of pixels have the shape (rows, columns)."""
 
     view: DepthView
     range_m: Float32Array
-    """Distance along the ray, 0 on pixels without depth, shape (rows, columns)."""
+    """Range along the ray; 0 on pixels without depth."""
     sigma_m: Float32Array
-    """Standard deviation of a range's noise, estimated from the neighbours, shape (rows, columns)."""
+    """Standard deviation of a range's noise, estimated from the neighbours."""
     amplitude: Float32Array
-    """Median of each pixel and its neighbours; 0 if unknown, or if a glint touches the pixel."""
+    """Median amplitude of each pixel and its neighbours; 0 if unknown, or if a glint touches the pixel."""
     lit: NDArray[np.bool_]
-    """Pixels on which depth or amplitude show a surface."""
+    """Whether depth or amplitude show a surface on a pixel."""
     blind: NDArray[np.bool_]
-    """Pixels on which a glint saturated both: there may be a surface or not."""
+    """Whether a glint saturated depth and amplitude of a pixel, which may show a surface or not."""
     points_m: FloatArray
     """The measured points of the target, sensor axes, shape (N, 3)."""
     hidden: NDArray[np.bool_]
-    """Pixels on which something else hides what is behind it."""
+    """Whether another thing may hide the target on a pixel."""
     least_amplitude: float
     """Least amplitude of a lit pixel; infinite without an amplitude image."""
 
@@ -86,9 +86,10 @@ class PmdScene:
 
     @cached_property
     def surface(self) -> ImagePoints:
-        """The surface that the frame shows: a pixel without depth takes the nearest pixel's.
+        """Points of all lit pixels; a pixel without depth takes the range of the nearest pixel with depth.
 
-        What hides the target may extend far beyond it, so that hidden pixels would move the centroid.
+        Hidden pixels are left out: a thing that hides the target may extend far beyond it and would move the
+        centroid.
         """
         nearest = distance_transform_edt(self.range_m == 0.0, return_distances=False, return_indices=True)
         shown = self.lit | (self.blind & ~self.hidden)
@@ -107,9 +108,9 @@ class PmdScene:
 
 @lru_cache(maxsize=8)
 def _cells(view: DepthView) -> tuple[NDArray[np.intp], tuple[float, float], tuple[float, float]]:
-    """Return the coarse pixel of each cell of an ``energy.Image``, and its first edges and steps.
+    """Return the coarse pixel of each cell of an ``energy.Image``, and the image's first edges and steps.
 
-    Its columns are even in x/z, its rows in y/hypot(x, z).
+    The columns of the image have equal steps in x/z, its rows in y/hypot(x, z).
     """
     x, y, z = view.coarse.components
     u, v = x / z, y / np.hypot(x, z)
@@ -149,14 +150,15 @@ def scene_of(frame: PmdFrame, config: PmdSceneConfig, *, radius_m: float) -> Pmd
 
 
 def _dim(amplitude: NDArray[np.uint16], shown: NDArray[np.bool_], share: float) -> float:
-    """Return the amplitude above which a pixel is lit in any case: a share of the way from sky to target.
+    """Return the amplitude above which a pixel is lit unless noise explains it.
 
-    The sky is not dark if amplitudes have a pedestal. Where it is as bright as the target, it tells nothing.
+    It lies between the amplitude of the sky, which is not dark if amplitudes have a pedestal, and that of the
+    darkest pixels with depth. If the sky is as bright as these pixels, its amplitude is not used.
 
     Args:
         amplitude: amplitude of all pixels, shape (H, W).
         shown: pixels whose depth is used, at least one, shape (H, W).
-        share: share of the way from the sky to the darkest pixels with depth.
+        share: share of the difference between the darkest pixels with depth and the sky.
     """
     darkest = float(np.percentile(amplitude[shown], DARKEST_PERCENT))
     sky = float(np.median(amplitude[~shown])) if not shown.all() else 0.0
@@ -225,15 +227,18 @@ def _implausible_camera(camera: Camera, config: PmdSceneConfig) -> str:
     A wrong principal point shears the depth image so little that the image itself does not show it.
     """
     if camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
     if not off <= config.most_off_centre:
         return (
             f"the camera matrix is another image's: principal point ({camera.cx:.1f}, {camera.cy:.1f}) in an "
-            f"image of {camera.width} x {camera.height}"
+            f"image of {camera.width} x {camera.height}; check camera_info"
         )
     if not 1.0 <= max(camera.fx / camera.fy, camera.fy / camera.fx) <= config.most_oblong:
-        return f"the camera matrix is another image's: focal lengths {camera.fx:.1f} and {camera.fy:.1f} px"
+        return (
+            f"the camera matrix is another image's: focal lengths {camera.fx:.1f} and {camera.fy:.1f} px; "
+            "check camera_info"
+        )
     return ""
 
 
@@ -245,11 +250,11 @@ def _measured(frame: PmdFrame, config: PmdSceneConfig) -> NDArray[np.bool_]:
 
 
 def least_lit(dark: Float32Array, most: float) -> float:
-    """Return an amplitude above the sky's noise.
+    """Return the least amplitude of a lit pixel, which is above the noise of the sky.
 
-    Dark parts of the target among the pixels widen the distribution upwards, so that ``most`` limits the
-    result, but not below the noise that the darker half of the pixels shows. Where the pixels are mostly
-    brighter than ``most``, they are not the sky.
+    Dark parts of the target among the pixels widen the distribution upwards. Therefore ``most`` limits the
+    result, but not below the noise of the darker half of the pixels. If most pixels are brighter than
+    ``most``, they do not show the sky.
 
     Args:
         dark: amplitudes of pixels without depth, most of which are sky, shape (N,).
@@ -268,8 +273,8 @@ def least_lit(dark: Float32Array, most: float) -> float:
 def _touched(amplitude: NDArray[np.uint16], dim: float) -> NDArray[np.bool_]:
     """Return which pixels are saturated by a glint or are beside one, shape (H, W).
 
-    A glint saturates both taps of a pixel, so that their difference is exactly zero, also on the pixels
-    around; a sky with noise never is.
+    A glint saturates both taps of a pixel, so that their difference is exactly zero, on the surrounding
+    pixels too. The amplitude of a sky with noise is never exactly zero on so many pixels.
     """
     wiped = (cv2.dilate(amplitude, WIPED) == 0).astype(np.uint8)
     if np.count_nonzero(wiped) > MOST_GLINTS * np.count_nonzero(amplitude <= dim):

@@ -1,6 +1,6 @@
-"""Depth points in the target's distance field: their normal equations, and a tracker.
+"""A tracker that registers depth points in the target's distance field, and the normal equations of points.
 
-The residual, its derivatives and the loop are those of ``registration.field_alignment``: no correspondences
+The residual, its derivatives and the loop are those of ``registration.field_alignment``. No correspondences
 are searched, and the Geman-McClure scale narrows from step to step.
 """
 
@@ -31,7 +31,14 @@ from rpod_target import Target
 def measured_equations(
     target: Target, points_m: FloatArray, T_sensor_target: RigidTransform, scale_m: float
 ) -> NormalEquations:
-    """Return the normal equations of measured points, shape (N, 3), sensor axes."""
+    """Return the normal equations of measured points in the target's distance field.
+
+    Args:
+        target: target with a distance field.
+        points_m: measured points, sensor axes, shape (N, 3).
+        T_sensor_target: pose to linearise at.
+        scale_m: Geman-McClure scale, above 0.
+    """
     problem = FieldProblem(Points.equal(points_m), field_arrays(target), np.array([scale_m]))
     return _equations(field_equations(problem, State(PoseArrays.of(T_sensor_target), 0.0), 0))
 
@@ -45,6 +52,10 @@ def _equations(linear: Linear[FieldEvidence]) -> NormalEquations:
 
 class SignedDistanceTracker:
     """Registers depth images in the target's distance field: ports.Tracker[PmdFrame].
+
+    Args:
+        config: parameters of the tracker.
+        target: the target to track.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.

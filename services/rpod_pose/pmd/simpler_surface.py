@@ -1,4 +1,4 @@
-"""The target as a search renders it: few triangles, with the brightness that its materials should have."""
+"""The target in the form that a search renders: few triangles, with the brightness of their materials."""
 
 from typing import NamedTuple
 
@@ -11,17 +11,17 @@ from rpod_target import Target
 from rpod_target.tables import Tables, kept_of
 
 SIMPLER = 500, 1_000, 1_500, 2_500, 4_000, 10_000
-"""Numbers of triangles to which a mesh is simplified, the fewest that suffice. Numerics: hundreds of poses
-are rendered in a search."""
+"""Numbers of triangles to which a mesh may be simplified; the least sufficient one is used. Numerics:
+hundreds of poses are rendered in a search."""
 SIMPLER_SHARE = 0.005
-"""Greatest error of that, over the longest side. Numerics: a fifth of a coarse pixel, of which 40 are on the
-target."""
+"""Largest error of the simplified mesh, over the longest side. Numerics: a fifth of a coarse pixel, of which
+about 40 are along the target."""
 LEAST_AREA = 1e-30
 """Least area in a division, m2. Numerics: it avoids a division by zero."""
 
 
 def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return few triangles that stand for those of a target, and which one each stands for."""
+    """Return a target's simplified triangles, and for each the index of an original triangle."""
     every = target.triangles_m
     if len(every) <= SIMPLER[0]:
         return every, np.arange(len(every))
@@ -38,7 +38,7 @@ def _simpler(target: Target) -> tuple[FloatArray, NDArray[np.int64]]:
 
 
 class Surface(NamedTuple):
-    """The target with its expected brightness, simplified within a fraction of a coarse pixel."""
+    """The simplified target with its expected brightness."""
 
     triangles_m: FloatArray
     """Corners, target axes, shape (T, 3, 3)."""

@@ -1,32 +1,34 @@
 """Acquisition in one PMD frame, without a guess: all attitudes are tried, and the best pose is verified.
 
-1. Attitudes, spread over all of SO(3), are aligned with the measured points by the centroid that the camera
-   should measure, and compared roughly (``energy``): points off the surface, and surface where nothing is
-   lit.
-2. The best are aligned with the points in the target's distance field (``registration.field_alignment``) and
-   ranked by rendering: depth and amplitude are compared (``fit``).
-3. Poses that the best may be mistaken for are tried too: its near-symmetries and quarter turns about its
-   axes. Only small details and materials distinguish them.
+1. Attitudes, spread over all of SO(3), are positioned by the centroid that the camera should measure, and
+   compared roughly (``energy``): points off the surface and surface on unlit pixels increase the energy.
+2. The best attitudes are aligned with the points in the target's distance field
+   (``registration.field_alignment``) and ranked by rendering: depth and amplitude are compared (``fit``).
+3. Poses with which the best one may be confused are tried too: its near-symmetries and quarter turns about
+   its axes. Only small details and materials distinguish them.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
-The search only ranks poses. The tracker refines the best on depth and edges, and again from its own result as
-long as the whole frame is likelier there: the edges that it expects are those of a rendering at the pose from
-which it starts.
-Whether the pose is believed is the tracker's decision: it compares every pixel within the frame's own noise.
-The tracker aligns the likely rivals as well, because a pose that was not aligned does not show yet how well
-it explains the frame. A rival is excluded if the tracker refuses it. If the alignment moves it close to
-another pose, the one that explains the frame clearly better is taken, and the covariance contains the
-distance of the two, as far as both are likely. The weights of the poses that are left follow from their
-likelihoods in the whole frame: all its pixels, with the brightness of each face free
-(``joint.brightness_fit``). The coarse pixels of the search do not show the details that distinguish turned
-poses, and a user knows the materials only roughly. An alignment that leads away from a pose that explains the
-frame better is refused: it ended in a false minimum. If a refused pose explains the frame better than the
-accepted ones, none is accepted: the right pose may not be among them. Both need the coarse pixels and the
-whole frame: few coarse pixels on an outline decide little, and their brightness is that of the file. If the
-tracker refuses all likely poses, the next ones are tried in turn.
+The search only ranks poses. The tracker refines the best one on depth and edges. It predicts edges by a
+rendering at the pose from which it starts. Therefore it starts again from its own result, as long as this
+makes the whole frame likelier. The tracker also decides whether a pose is believed: it compares every pixel
+within the frame's noise.
 
-The real target may have other materials than the target file says. If the tracker believes none of the poses
-that are best with the file's materials, the search is repeated with the shape alone, from these poses too.
+The tracker aligns the likely rivals too, because only an aligned pose shows how well it explains the frame. A
+rival is excluded if the tracker refuses it. If two poses are close to each other after the alignment, the one
+that explains the frame clearly better is kept, and its covariance contains their distance, weighted by the
+probability of the other one. The weights of the remaining poses follow from their likelihoods in the whole
+frame, with the brightness of each face fitted (``joint.brightness_fit``). The coarse pixels of the search
+would not do: they do not show the details that distinguish turned poses, and a user knows the materials only
+roughly.
+
+An alignment that leads away from a pose that explains the frame better is refused: it ended in a false
+minimum. If a refused pose explains the frame better than the accepted ones, none is accepted: the right pose
+may not be among them. Both decisions need the coarse pixels and the whole frame to agree: few coarse pixels
+on an outline decide little, and their brightness is that of the file. If the tracker refuses all likely
+poses, the next ones are tried in turn.
+
+The real target may have other materials than its file states. If the tracker believes none of the poses that
+are best with the file's materials, the search is repeated by shape alone, with these poses among its starts.
 """
 
 from collections.abc import Sequence
@@ -56,13 +58,13 @@ from rpod_schemas.types import BeliefLevel, Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 MOST_BIAS_SIGMAS = 2.0
-"""Greatest bias of the ranges that is tried, in standard deviations. Physics: 95 % of normal errors are
+"""Largest bias of the ranges that is tried, in standard deviations. Physics: 95 % of normal errors are
 smaller."""
 MOST_BIASES = 8
-"""Greatest number of biases that are tried to each side. Numerics: a budget of computation."""
+"""Largest number of biases that are tried on each side. Numerics: a budget of computation."""
 MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
-"""Greatest drop of the log likelihood by an alignment. Physics: six parameters of the pose may have been
-fitted to the noise before, and a likelihood-ratio test at 99 % allows for them."""
+"""Largest decrease of the log likelihood by an accepted alignment. Physics: the six parameters of the pose
+may have been fitted to noise before, and a likelihood-ratio test at 99 % allows for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +76,7 @@ class _Task:
     attitudes: Float32Array
     """Initial R_sensor_target, shape (M, 3, 3)."""
     around: FloatArray | None
-    """R_sensor_target near which all poses must be, shape (3, 3); None for any."""
+    """R_sensor_target near which all poses must be, shape (3, 3); None for any attitude."""
 
     def failed(self, registration: Registration) -> Acquisition:
         """Return the acquisition of a search without an accepted pose."""
@@ -108,7 +110,7 @@ class ViewSearch:
     Args:
         config: parameters of the search.
         target: the target to find.
-        tracker: tracker by both images, which refines the pose.
+        tracker: tracker that uses depth and amplitude, refines poses and decides whether they are believed.
 
     Raises:
         rpod_target.TargetError: the target has no distance field.
@@ -163,7 +165,7 @@ class ViewSearch:
         *,
         known_materials: bool,
     ) -> Acquisition:
-        """Return the acquisition of the poses that are best with the file's materials, or by shape alone."""
+        """Return the acquisition after the tracker has refined and checked the poses of a search."""
         tuning = self._tuning
         if not poses:
             reason = "no attitude shows the target to the camera"
@@ -185,22 +187,22 @@ class ViewSearch:
         believed, logs = self._merged(believed, logs)
         best, least = believed[0], tuning.ambiguous_weight
         if better := self._better(task.frame, best, aligned, per_loss):
-            reason = f"a pose that is refused explains the frame better than those that are not: {better}"
+            reason = f"a refused pose explains the frame better than the accepted ones; refused as {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
         found = rivals(believed, logs, self._model.turns.exact)
         belief = belief_with_rivals(found, best.registration.belief, least=least)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
 
     def _merged(self, aligned: list[_Aligned], logs: FloatArray) -> tuple[list[_Aligned], FloatArray]:
-        """Return distinct poses, likeliest first, and their log likelihoods, best 0.
+        """Return distinct poses, likeliest first, and their log likelihoods, relative to the best.
 
-        Alignments that lead to nearly the same attitude may end in several minima beside each other. Of these
-        poses the first stands for all, or one that is clearly likelier. The others are among its errors: its
-        covariance contains their mean square distance, weighted by their likelihoods.
+        Alignments that lead to nearly the same attitude may end in several neighbouring minima. Of these
+        poses the first one is kept, or one that is clearly likelier. Its covariance contains the mean square
+        distance of the others, weighted by their likelihoods.
 
         Args:
             aligned: poses in the order of the search.
-            logs: their log likelihoods by the whole frame, shape (N,).
+            logs: their log likelihoods in the whole frame, shape (N,).
         """
         turns, within_deg = self._model.turns, self._tuning.distinct_deg
         distinct = turns.distinct(aligned, within_deg)
@@ -223,7 +225,7 @@ class ViewSearch:
         return [merged[index] for index in order], np.array(most)[order] - max(most)
 
     def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
-        """Return the mean square of (dp, dtheta) from one pose to several with weights, (6, 6), m and rad."""
+        """Return the weighted mean square of (dp, dtheta) from one pose to several, shape (6, 6), m, rad."""
         middle, alike = pose_of(best.R, best.t), self._model.target.equivalence
         others = [alike.nearest_pose(pose_of(pose.R, pose.t), middle) for pose in poses]
         turns = [(other.rotation * middle.rotation.inv()).as_rotvec() for other in others]
@@ -232,11 +234,11 @@ class ViewSearch:
         return spread
 
     def _turned(self, task: _Task, search: FrameSearch, aligned: list[_Aligned]) -> list[Pose]:
-        """Return the near-symmetries of the best accepted pose that were not aligned, and may be rivals.
+        """Return turns of the best accepted pose that were not aligned yet and may be rivals.
 
-        The search leaves them out where the file's materials speak for other poses, so the shape alone says
-        whether they may be rivals. So do rotations that map the main faces onto each other, each about an
-        axis that may pass beside the origin.
+        These are its near-symmetries, and the rotations that map its main faces onto each other, each about
+        an axis that may pass beside the origin. The search leaves them out if other poses fit the file's
+        materials better. Therefore the shape alone decides here whether they may be rivals.
         """
         tuning, turns = self._tuning, self._model.turns
         best = next(each for each in aligned if each.is_accepted)
@@ -251,8 +253,9 @@ class ViewSearch:
     def _better(self, frame: PmdFrame, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
 
-        Empty if there is none. The loss of the best after its alignment is compared with that of the other
-        before or after its own. A pose near the best may be better by ``MOST_DROP_LOG``, since both are one.
+        Empty if there is none. The loss of the best pose after its alignment is compared with the smaller
+        loss of the other one, before or after its own alignment. A pose near the best may be better by
+        ``MOST_DROP_LOG``, since both count as one pose.
         """
         refused = [each for each in aligned if not each.is_accepted]
         gains = per_loss * np.array([best.losses[1] - each.losses.min() for each in refused])
@@ -264,9 +267,9 @@ class ViewSearch:
         return ""
 
     def _explains_better(self, frame: PmdFrame, poses: Sequence[PoseArrays], found: Registration) -> bool:
-        """Return whether one of the poses explains the whole frame better than a registered one.
+        """Return whether one of several poses explains the whole frame better than a registered one.
 
-        They are where the depth shows them, with the bias of the ranges or without.
+        Each pose is tried as it is, and moved along the line of sight by the bias of the ranges.
         """
         others = [
             replace(
@@ -281,19 +284,19 @@ class ViewSearch:
     def _aligned(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> _Aligned:
         """Return a pose that the search found, aligned by the tracker.
 
-        The alignment is contradicted if it led from a pose that explains the frame to one that does not, by
-        the coarse pixels and by the whole frame. A log likelihood is ``per_loss`` times a loss.
+        The result is contradicted if the alignment has led to a pose that explains the frame worse, both on
+        the coarse pixels and in the whole frame. A log likelihood is minus ``per_loss`` times a loss.
         """
         bias_m = self._bias_m(task, fitter, pose, per_loss)
         found, start = self._registered(task, pose, bias_m), PoseArrays(pose.R, pose.t)
         if found.T_sensor_target is None:
             return _Aligned(*start, found, np.array((pose.fit.loss, np.inf)), start)
         R, t = PoseArrays.of(found.T_sensor_target)
-        # where the depth shows the pose, with the bias of the ranges that the tracker found
+        # the position that the depth shows: farther by the bias of the ranges that the tracker found
         shown_t = t * (1.0 + found.range_bias_m / float(np.linalg.norm(t)))
         losses = np.array((pose.fit.loss, fitter.fit(R, shown_t).loss))
         if found.continues_track and per_loss * (losses[1] - losses[0]) > MOST_DROP_LOG:
-            # the outline shows the pose itself, the depth shows it with the bias
+            # the outline shows the pose itself, the depth shows it displaced by the bias
             worse = min(losses[1], fitter.fit(R, t).loss)
             drops = per_loss * (worse - losses[0]) > MOST_DROP_LOG
             if drops and self._explains_better(task.frame, (start,), found):
@@ -305,7 +308,7 @@ class ViewSearch:
         return _Aligned(R, t, found, losses, start)
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
-        """Return whether a pose near this one may be the target's, by what the whole frame shows there."""
+        """Return whether the whole frame allows that a pose near this one is that of the target."""
         tracker = self._tracker
         return not isinstance(tracker, WholeFrameTracker) or not tracker.excluded(
             frame, pose_of(pose.R, pose.t)
@@ -314,10 +317,10 @@ class ViewSearch:
     def _bias_m(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> float:
         """Return the likeliest length by which all ranges are too long, m, at a pose of the search.
 
-        The search has placed the target where the depth shows it. The error that all ranges share may move
-        the outline by more than the reach of the tracker's search for edges. Moved along the sight with it,
-        the target fits the depth as before, and the outline, which no bias moves, decides. 0 where the bias
-        moves the outline by less than a coarse pixel.
+        The search has placed the target where the depth shows it. Because of an error that all ranges share,
+        the outline may be farther off than the reach of the tracker's search for edges. Therefore the target
+        is moved along the line of sight by several biases. Each moved pose fits the depth as before, and the
+        outline, which no bias moves, decides. 0 if the bias moves the outline by less than a coarse pixel.
         """
         sigma_m, range_m = self._tuning.model.sigma_m, max(float(np.linalg.norm(pose.t)), NEAREST_M)
         radius_px = task.frame.camera.fx * self._model.target.radius_m / max(float(pose.t[2]), NEAREST_M)
@@ -339,8 +342,8 @@ class ViewSearch:
         Args:
             task: the frame.
             pose: the pose where the depth shows it.
-            bias_m: length by which all ranges may be too long. The pose without it is tried too if the one
-                with it is not accepted.
+            bias_m: length by which all ranges may be too long. If the pose with it is not accepted, the pose
+                without it is tried too.
         """
         found = self._settled(task.frame, self._tracked(task.frame, pose, bias_m))
         if bias_m and found.belief.level is not BeliefLevel.ACCEPTED:
@@ -350,7 +353,7 @@ class ViewSearch:
         return replace(found, belief=replace(found.belief, evidence=evidence))
 
     def _tracked(self, frame: PmdFrame, pose: Pose, bias_m: float) -> Registration:
-        """Return the tracker's registration from a pose of the search, nearer by a bias of the ranges."""
+        """Return the tracker's registration from a pose of the search that is moved nearer by a bias."""
         t = pose.t * (1.0 - bias_m / float(np.linalg.norm(pose.t)))
         return self._tracker.track(frame, pose_of(pose.R, t))
 
@@ -361,13 +364,12 @@ class ViewSearch:
         return self._tracker.track(frame, pose)
 
     def _settled(self, frame: PmdFrame, found: Registration) -> Registration:
-        """Return a registration that is aligned again from its own pose as long as this makes it likelier.
+        """Return a registration after repeated alignments from its own pose.
 
-        An alignment finds edges that are a pixel from their place only slowly, since they count as outliers
-        first. The steps of one alignment suffice in a stream of frames, but not from the pose of a search.
-        Where the frame tells little, further alignments wander along a valley of the likelihood. So the next
-        pose is taken if it is believed more, or if it is believed as much and the whole frame is likelier
-        there. It is the last one if it hardly moved.
+        An alignment converges slowly if edges are a pixel from their place, since they are outliers at first.
+        One alignment suffices in a stream of frames, but not from the pose of a search. If the frame
+        determines the pose weakly, alignments may wander along a valley of the likelihood. So the next pose
+        is taken only if it is believed more, or equally and is likelier. The loop ends at a small motion.
         """
         tuning, radius_m = self._tuning, self._model.target.radius_m
         for _ in range(tuning.settling):
@@ -386,7 +388,7 @@ class ViewSearch:
         return found
 
     def _preferred(self, frame: PmdFrame, again: Registration, found: Registration) -> bool:
-        """Return whether an alignment is believed more than the one before, or as much and is likelier."""
+        """Return whether an alignment is believed more than the previous one, or equally and is likelier."""
         if _standing(again) != _standing(found):
             return _standing(again) > _standing(found)
         before, after = self._tracker.log_likelihoods(frame, [found, again], ranked_only=True)
@@ -394,5 +396,5 @@ class ViewSearch:
 
 
 def _standing(found: Registration) -> tuple[bool, bool]:
-    """Return how far a registration is believed; a greater value is more."""
+    """Return the rank of a registration's belief; larger is better."""
     return found.belief.level is BeliefLevel.ACCEPTED, found.continues_track

@@ -1,8 +1,8 @@
 """Prior of a surface's brightness: four classes of albedo, each known only within a wide factor.
 
-No estimator knows a satellite's reflectances: paint yellows, foil crinkles, and a target's file follows the
-drawings. A user can name a class of brightness (``Material.looks``). A class has a mean albedo and a standard
-deviation of its logarithm:
+An estimator does not know a satellite's reflectances: paint yellows, foil crinkles, and a target's file
+follows the drawings. A user can name a class of brightness (``Material.looks``). A class has a median albedo
+and a standard deviation of its logarithm:
 
 - dark, grey and white span 0.05 to 0.2, 0.2 to 0.5 and 0.5 to 1; their albedo is the geometric mean of the
   limits. In the widest of them the logarithm has a standard deviation of 0.4. Surfaces that are not
@@ -26,11 +26,10 @@ from rpod_target import Albedo, Target
 from rpod_target.mesh.topology import components, edges
 
 PLANES = 50.0
-"""Number of steps in which normals and offsets of faces are told apart. Numerics: a degree, and 2 % of the
-radius; more faces need more steps of the fit."""
+"""Number of steps to which normals and offsets of faces are rounded to find faces in one plane. Numerics: a
+degree, and 2 % of the radius; more faces need more steps of the fit."""
 SMOOTH_DEG = 30.0
-"""Angle between neighbouring faces up to which they are one surface. Physics: a round body of at least twelve
-sides."""
+"""Largest angle between neighbouring faces of one surface. Physics: a round body has twelve sides or more."""
 
 
 class Brightness(NamedTuple):
@@ -50,7 +49,7 @@ CLASSES: Mapping[Albedo, Brightness] = MappingProxyType(
         "mirror": Brightness(0.4, 2.0),
     }
 )
-"""Priors by the name of the class. Hand: the limits and the spreads are above."""
+"""Priors by the name of the class. Hand: the docstring of the module has limits and spreads."""
 
 
 def albedos(target: Target) -> FloatArray:

@@ -14,12 +14,12 @@ from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 
 EDGE_M2 = 1e-9
-"""Tolerance of the inside test (distance times length of the edge). Numerics: no foot falls between two
-faces."""
+"""Tolerance of the inside test (distance times length of the edge), m2. Numerics: no foot of a normal falls
+between two faces."""
 
 
 class Triangles(NamedTuple):
-    """Triangles with their bounding spheres, as the kernels take them."""
+    """Triangles with their bounding spheres, in the form that the kernels take."""
 
     triangles_m: FloatArray
     """Corners, shape (T, 3, 3)."""

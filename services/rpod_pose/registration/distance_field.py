@@ -1,4 +1,4 @@
-"""The distance field of a target, as compiled code reads it: trilinear, with its gradient."""
+"""Trilinear interpolation in the distance field of a target, with its gradient, for compiled code."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ FEWEST_NODES = 2
 
 
 class FieldArrays(NamedTuple):
-    """Values on the nodes of a regular grid, as the kernels take them; ``checked`` validates them."""
+    """Values on the nodes of a regular grid, in the form that kernels take; ``checked`` validates them."""
 
     origin_m: FloatArray
     """Position of the node [0, 0, 0], target axes, shape (3,), m."""
@@ -85,7 +85,7 @@ def field_at(field: FieldArrays, place: Vector) -> FieldSample:
 
 
 def field_arrays(target: Target) -> FieldArrays:
-    """Return a target's distance field as the kernels take it.
+    """Return a target's distance field in the form that the kernels take.
 
     Raises:
         rpod_target.TargetError: the target has no distance field, or one with too few nodes.
@@ -95,7 +95,7 @@ def field_arrays(target: Target) -> FieldArrays:
 
 
 def checked(target: Target, field: FieldArrays) -> FieldArrays:
-    """Return a field of a target unchanged after a check that every place can be looked up in it.
+    """Return a field of a target unchanged, after a check that the kernels can interpolate in it.
 
     Raises:
         rpod_target.TargetError: the field has fewer than two nodes along an axis, or no positive spacing.

@@ -27,16 +27,16 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 AWAY = 0.5
-"""Greatest cosine between a ray and the normal of a face that can have reflected it. Hand: a face that is
-seen has a negative one; 0.5 leaves 30 deg beyond that for the error of the pose."""
+"""Largest cosine between a ray and the normal of a face that can have reflected it. Hand: for a visible face
+it is negative; 0.5 leaves 30 deg for the error of the pose."""
 TRACED = 8
-"""Greatest number of places on the way to the face in front of a point. Numerics: a budget; each step is at
-least half a cell."""
+"""Largest number of steps to the face in front of a point. Numerics: a budget; each step is at least half a
+cell."""
 REACH_M, REACH_RAD = 0.5, 0.1
 """Prior standard deviations of a step, m and rad. Numerics: it is then small in directions that no point
 determines."""
 SPREAD = 0.1
-"""Assumed standard deviation of the residuals, as a share of the Geman-McClure scale. Hand: it acts on
+"""Assumed standard deviation of the residuals, over the Geman-McClure scale. Hand: it matters only in
 directions that no point determines."""
 
 
@@ -82,8 +82,8 @@ def add_field_points(
 ) -> FieldEvidence:
     """Add the factors of points in a distance field to the sums, shape (35,); return their evidence.
 
-    A point whose nearest face is turned away from the sensor belongs to the face in front of it, as far as
-    twice the scale; without one it has no residual.
+    If the nearest face of a point is turned away from the sensor, the point belongs to the face in front, up
+    to a distance of twice the scale. Without such a face it has no residual.
 
     Args:
         sums: information and gradient, input and output.
@@ -119,15 +119,15 @@ def add_field_points(
 def seen_sample(field: FieldArrays, place: Vector, ray: Vector, range_m: float, reach: float) -> FieldSample:
     """Return the distance of a place from the nearest face that the sensor can see, and its gradient.
 
-    If the nearest face is turned away from the sensor, it is that of the face in front, as far as ``reach``;
-    the gradient is 0 if there is none.
+    If the nearest face is turned away from the sensor, the distance is that from the face in front, up to
+    ``reach``; the gradient is 0 if there is none.
 
     Args:
         field: the target's distance field.
         place: the place, target axes, m.
         ray: vector from the sensor to the measured point, target axes, of any length.
         range_m: this length.
-        reach: longest way to a face in front, m.
+        reach: largest distance to a face in front, m.
     """
     origin, per_m = field.origin_m, 1.0 / field.spacing_m
     distance, slope = distance_and_gradient(

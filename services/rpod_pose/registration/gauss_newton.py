@@ -1,4 +1,4 @@
-"""The loop of all registrations: linearise at the pose, sum, solve, move, with a narrower scale in each step.
+"""The Gauss-Newton loop of all registrations: linearise, sum, solve, move, with narrower scales step by step.
 
 A *problem* is a record with the measurement, the model and the scales of its steps. ``linearised`` returns
 its normal equations at a pose. Each kind of problem registers a kernel for that, by
@@ -32,7 +32,7 @@ class State(NamedTuple):
 
     pose: PoseArrays
     bias_m: float
-    """Length by which all ranges are too long; stays 0 where a problem has six unknowns."""
+    """Length by which all ranges are too long; it stays 0 in a problem with six unknowns."""
 
 
 class Linear(NamedTuple, Generic[E]):
@@ -41,7 +41,7 @@ class Linear(NamedTuple, Generic[E]):
     sums: FloatArray
     """Information and gradient, shape (35,), as in ``normal_equations``."""
     hold: FloatArray
-    """Prior information that the step is zero, above 0, shape (7,)."""
+    """Prior information that the step is zero, shape (7,); each entry is above 0."""
     determined: bool
     """Whether the residuals suffice for a step."""
     evidence: E
@@ -55,13 +55,13 @@ class Fit(NamedTuple, Generic[E]):
     linear: Linear[E]
     """The problem linearised at the state before the last step."""
     step: FloatArray
-    """The last step, (dtau, dtheta, bias), shape (7,), m and rad; 0 where there was none."""
+    """The last step, (dtau, dtheta, bias), shape (7,), m and rad; 0 if none was made."""
     steps: int
     """Number of steps made."""
 
 
 def linearised(problem: Any, state: State, step: int) -> Linear[Any]:
-    """Return a problem's normal equations at a state; to be called by kernels.
+    """Return a problem's normal equations at a state. Only kernels can call it.
 
     Args:
         problem: a record whose type was registered by ``linearises``.
@@ -90,8 +90,8 @@ def linearises(record: type) -> Callable[[K], K]:
 def minimised(problem: Any, start: State, steps: int) -> Fit[Any]:
     """Return the state after Gauss-Newton steps on a problem, one for each of its scales.
 
-    It is called by kernels; each has the loop compiled for its own kind of problem. The loop ends early if
-    the residuals determine no step, or if they are not finite.
+    Kernels call it, and in each the loop is compiled for its kind of problem. The loop ends early if the
+    residuals determine no step, or if they are not finite.
 
     Args:
         problem: a record whose type was registered by ``linearises``.

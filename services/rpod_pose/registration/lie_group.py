@@ -10,7 +10,7 @@ from rpod_schemas.arrays import FloatArray
 
 
 class PoseArrays(NamedTuple):
-    """A pose of the target in the sensor, as the kernels take it."""
+    """A pose of the target relative to the sensor, in the form that the kernels take."""
 
     R: FloatArray
     """R_sensor_target, shape (3, 3)."""
@@ -87,5 +87,5 @@ def step_between(T_from: RigidTransform, T_to: RigidTransform) -> FloatArray:
 
 
 def step_length_m(step: FloatArray, radius_m: float) -> float:
-    """Return an upper bound, m, of how far a step moves the surface of a target of this radius."""
+    """Return an upper bound, m, of the motion of a target's surface in a step (dtau, dtheta), shape (6,)."""
     return float(np.linalg.norm(step[:3]) + radius_m * np.linalg.norm(step[3:]))

@@ -1,15 +1,15 @@
 """Errors of the target's model in the covariance of a pose.
 
-The model's surface may be off by a tolerance. Places near each other are off alike, so that the error does
-not average out over their measurements: the surface is divided into cells, and each cell has a displacement
-of its own, the same for all residuals in it. Such a displacement is not estimated, only considered (S. F.
-Schmidt, Application of State-Space Methods to Navigation Problems, Advances in Control Systems 3, 1966): with
-the information I of all residuals, and A that of one cell about its own displacement, the displacement u
-moves the pose by I^-1 A u. A residual along a normal depends on a displacement of the surface as on one of
-the pose, so that A consists of the first three columns of the cell's own information.
+The model's surface may be off by a tolerance. Places near each other have nearly the same error, so that it
+does not average out over their measurements. Therefore the surface is divided into cells, and each cell has a
+displacement that is the same for all residuals in it. Such a displacement is not estimated, only considered
+(S. F. Schmidt, Application of State-Space Methods to Navigation Problems, Advances in Control Systems 3,
+1966). With the information I of all residuals, a displacement u of one cell moves the pose by I^-1 A u. A
+residual along a normal depends on a displacement of the surface in the same way as on one of the pose. So A
+consists of the first three columns of the information of the cell's residuals.
 
 A part of the target is made and mounted as one piece. So no cell lies on two parts, and only a part that is
-longer than a cell has several.
+longer than a cell has several cells.
 """
 
 from dataclasses import dataclass
@@ -34,22 +34,22 @@ Numerics: a budget of computation."""
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The parts of a target, and how each is divided into cells."""
+    """The parts of a target, and the division of each into cells."""
 
     corners_m: FloatArray
     """Least coordinates of each part, shape (P, 3)."""
     counts: NDArray[np.intp]
     """Number of a part's cells along each axis, shape (P, 3)."""
     cells_m: FloatArray
-    """Size of these cells along each axis, shape (P, 3)."""
+    """Size of a part's cells along each axis, shape (P, 3)."""
     surface: cKDTree
-    """Points of the surface."""
+    """Points of the surface, target axes."""
     of_point: NDArray[np.intp]
-    """Part of each of these points, shape (N,)."""
+    """Index of the part of each point of the surface, shape (N,)."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
-        """Return the parts of a target, with cells of about ``CELL`` of its longest side at most."""
+        """Return the parts of a target, with cells of at most about ``CELL`` of its longest side."""
         longest_m, whole_m2 = (
             float(np.ptp(target.triangles_m, axis=(0, 1)).max()),
             areas_m2(target.triangles_m),
@@ -68,12 +68,12 @@ class Parts:
         return cls(corners_m, counts, np.maximum(extents_m / counts, 1e-9), surface, np.concatenate(of_point))
 
     def at(self, places_m: FloatArray) -> NDArray[np.intp]:
-        """Return the number of the nearest part of each place, target axes, shape (N, 3), shape (N,)."""
+        """Return the index of the part nearest to each place, (N,); places are in target axes, (N, 3)."""
         found: NDArray[np.intp] = self.of_point[self.surface.query(places_m)[1]]
         return found
 
     def cells(self, places_m: FloatArray, parts: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the number of the cell of each place, from 0 on, shape (N,).
+        """Return the number of the cell of each place, counted from 0, shape (N,).
 
         Args:
             places_m: places, target axes, shape (N, 3).
@@ -94,7 +94,7 @@ class ModelError:
     tolerance_m: float
     """Standard deviation of each coordinate of a cell's displacement."""
     scale: float
-    """Standard deviation of the share by which the whole model is too large, about the target's origin."""
+    """Relative standard deviation of the size of the whole model, scaled about the target's origin."""
 
     @classmethod
     def of(cls, target: Target) -> Self:
@@ -112,7 +112,7 @@ class ModelError:
         """Return the covariance of the unknowns with the model's errors.
 
         Args:
-            covariance: covariance of (dtau, dtheta, ...) without them, shape (U, U).
+            covariance: covariance of (dtau, dtheta, ...) without the model's errors, shape (U, U).
             informations: information of each cell's residuals about the unknowns, shape (C, U, U).
             centres_m: middle of each cell's places, target axes, shape (C, 3).
         """

@@ -1,4 +1,4 @@
-"""Sums over residuals: the information and the gradient of a least-squares step, of all methods.
+"""Sums over residuals for all methods: the information and the gradient of a least-squares step.
 
 The unknowns are a right perturbation R <- R Exp(dtheta), t <- t + R dtau in target axes, ordered
 (dtau, dtheta). If all ranges of a sensor may be too long by the same length, that length is a seventh
@@ -30,13 +30,13 @@ from rpod_target.equivalence import with_variance_about
 DAMPING = 1e-6
 """Information added per residual. Numerics: a step then has no component in an unobservable direction."""
 DEGENERATE = 1e-4
-"""Least information of the worst direction, relative to a direction that every residual determines. Hand: the
+"""Least information in the worst direction, relative to a direction that every residual determines. Hand: the
 standard deviation is then a hundred times as large."""
 UNKNOWNS = 7
 """Number of unknowns. Physics: six of the pose, and the length by which all ranges are too long."""
 LEAST_PIVOT = 1e-14
-"""Least share of a diagonal element that must be left after the elimination of the unknowns before it.
-Numerics: below, only rounding is left of it."""
+"""Least share of a diagonal element that must remain after the elimination of the previous unknowns.
+Numerics: a smaller remainder is only rounding."""
 SUMS = 35
 """Number of entries of the sums. Physics: 7 + 6 + 5 + 4 + 3 + 2 of the pose, 8 of the seventh unknown."""
 OF_POSE = 27
@@ -80,7 +80,7 @@ class NormalEquations:
 
     @property
     def cost_m2(self) -> float:
-        """Mean squared residual of the inliers, NaN where there is none."""
+        """Mean squared residual of the inliers; NaN if there is none."""
         return self.squares_m2 / self.inliers if self.inliers else float("nan")
 
     def step(self) -> FloatArray:
@@ -90,9 +90,9 @@ class NormalEquations:
         return step
 
     def without_turn(self, axes: FloatArray) -> Self:
-        """Return the sums with the angles about axes through the origin known, target axes, shape (F, 3).
+        """Return the sums with known angles about axes through the origin, target axes, shape (F, 3).
 
-        About a target's free axes the residuals determine nothing, and need not.
+        It is used for a target's free axes: the residuals do not determine these angles.
         """
         if not len(axes):
             return self
@@ -100,7 +100,7 @@ class NormalEquations:
         return replace(self, information=with_variance_about(self.information, axes, known, first=3))
 
     def degenerate(self, radius_m: float) -> bool:
-        """Return whether any motion of a target of this radius is undetermined."""
+        """Return whether a motion of a target of this radius is undetermined in any direction."""
         if not self.inliers:
             return True
         scale = np.repeat((1.0, 1.0 / radius_m), 3)
@@ -185,7 +185,7 @@ def add_range_bias(  # noqa: PLR0917
         sums: information and gradient, shape (35,), in and out.
         normal: as for ``add_residual``.
         place: as for ``add_residual``.
-        slope: derivative of the residual by the length by which all ranges are too long.
+        slope: derivative of the residual with respect to the length by which all ranges are too long.
         residual: as for ``add_residual``.
         weight: as for ``add_residual``.
     """
@@ -204,7 +204,7 @@ def add_range_bias(  # noqa: PLR0917
 
 @kernel
 def information_of(sums: FloatArray, unknowns: int) -> FloatArray:
-    """Return the symmetric information about the first unknowns, 6 or 7, of sums, shape (35,)."""
+    """Return the symmetric information matrix of the first 6 or 7 unknowns, from sums of shape (35,)."""
     information, entry = np.empty((unknowns, unknowns)), 0
     for i in range(6):
         for j in range(i, 6):
@@ -219,7 +219,7 @@ def information_of(sums: FloatArray, unknowns: int) -> FloatArray:
 
 @kernel
 def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
-    """Return the gradient by the first unknowns, 6 or 7, of sums, shape (35,)."""
+    """Return the gradient with respect to the first 6 or 7 unknowns, from sums of shape (35,)."""
     gradient, entry = np.empty(unknowns), -1
     for i in range(6):
         entry += UNKNOWNS - i
@@ -231,7 +231,7 @@ def gradient_of(sums: FloatArray, unknowns: int) -> FloatArray:
 
 @inner_kernel
 def held_step(sums: FloatArray, hold: FloatArray) -> FloatArray:
-    """Return the Gauss-Newton step, shape (7,), of sums, shape (35,); 0 if it is not determined.
+    """Return the Gauss-Newton step, shape (7,), for sums of shape (35,); 0 if it is not determined.
 
     The system is solved by Cholesky's decomposition. Sums that are not finite, or not positive definite to
     machine precision, give a step of 0; nothing is raised.

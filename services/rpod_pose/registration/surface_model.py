@@ -1,4 +1,4 @@
-"""Model of the target for the LIDAR's kernels: its faces and its distance field."""
+"""Model of the target for kernels that cast rays: its faces and its distance field."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Self
@@ -17,16 +17,15 @@ from rpod_target import Target
 from rpod_target.mesh.topology import directed_edges, welded
 
 COARSE_CELLS = 3
-"""Cells of the distance field per cell of the coarse field, along each axis. Numerics: a 27th of the memory,
-for steps that are wider than a cell."""
+"""Number of cells of the distance field in a cell of the coarse field, along each axis. Numerics: a 27th of
+the memory, for steps that are wider than a cell."""
 
 FLAT = 1e-6
-"""Sine of the angle between two faces up to which they lie in one plane. Numerics: the rounding of
-coordinates."""
+"""Largest sine of the angle between two faces in one plane. Numerics: the rounding of coordinates."""
 PER_HIT = 12
-"""Number of triangles for each ray on the target up to which all triangles are tested for an image. Numerics:
-measured times of four patterns of 441 to 16,384 rays, eight targets of 24 to 12,872 triangles, five ranges.
-The chosen way took 1.01 times the faster one's time on average, 2.5 times at most."""
+"""Largest number of triangles for each ray on the target at which an image is cast by testing all triangles.
+Numerics: measured times of four patterns of 441 to 16,384 rays, eight targets of 24 to 12,872 triangles, five
+ranges. The chosen way took 1.01 times the faster one's time on average, 2.5 times at most."""
 LINES = 1024
 """Number of lines by which the mean silhouette of a mesh is measured. Numerics: its error is a tenth if it
 fills 9 % of its sphere."""
@@ -42,7 +41,7 @@ class Edges(NamedTuple):
 
 
 class Faces(NamedTuple):
-    """The target's triangles, as the kernels take them."""
+    """The target's triangles in the form that the kernels take."""
 
     triangles_m: FloatArray
     """Corners, target axes, shape (T, 3, 3)."""
@@ -62,7 +61,7 @@ class Faces(NamedTuple):
 
 @kernel
 def cast_faces(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buffers: RenderBuffers) -> None:
-    """Fill the first hit of every ray, seen from outside, in the way that is faster for so many triangles.
+    """Fill the first hit of every ray on outer sides, by the faster of two ways of casting.
 
     Args:
         grid: ``RayGrid.arrays``.
@@ -79,9 +78,10 @@ def cast_faces(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray, buf
 
 @inner_kernel
 def _expected_hits(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray) -> float:
-    """Return about how many rays meet the target; all rays of the grid if a part of it is behind the sensor.
+    """Return the approximate number of rays that meet the target; all if a part of it is behind the sensor.
 
-    The target fills the rows and columns of its box as far as its mean silhouette fills their cross-section.
+    It is the number of rays in the rows and columns of the target's box, times the share that the mean
+    silhouette fills of them.
 
     Args:
         grid: ``RayGrid.arrays``.
@@ -109,8 +109,8 @@ def _expected_hits(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray)
 def outline_edges(triangles_m: FloatArray, normals: FloatArray) -> Edges:
     """Return the edges of a mesh at which its surface may end for a sensor.
 
-    An edge between two faces in one plane, or in a hollow, never ends a surface. Where more than two faces
-    meet, each of them has the edge as a border.
+    A surface never ends at an edge between two faces in one plane, or at a concave edge. If more than two
+    faces meet at an edge, it is a border of each of them.
 
     Args:
         triangles_m: corners, target axes, shape (T, 3, 3), counter-clockwise from outside.
@@ -138,7 +138,7 @@ def outline_edges(triangles_m: FloatArray, normals: FloatArray) -> Edges:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceModel:
-    """A target's faces and field, as the kernels take them."""
+    """A target's faces and distance field in the form that the kernels take."""
 
     faces: Faces
     coarse_field: FieldArrays

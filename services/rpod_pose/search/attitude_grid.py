@@ -18,7 +18,7 @@ BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 
 def super_fibonacci(count: int) -> Rotation:
-    """Return ``count`` attitudes, of low discrepancy; the same for each call.
+    """Return ``count`` evenly spread attitudes, R_sensor_target; deterministic.
 
     Source: M. Alexa, Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3), CVPR 2022.
     """
@@ -43,7 +43,7 @@ def even_directions(count: int) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def attitudes_of(count: int) -> Float32Array:
-    """Return ``super_fibonacci`` as matrices, shape (count, 3, 3); cached, so not to be written to."""
+    """Return ``super_fibonacci`` as matrices, shape (count, 3, 3); cached, so the result is read-only."""
     return super_fibonacci(count).as_matrix().astype(np.float32)
 
 

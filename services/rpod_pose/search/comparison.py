@@ -19,18 +19,18 @@ computation."""
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A measurement, and the forms of it and of the target that ``energies`` needs."""
+    """A measurement and a target in the forms that ``energies`` needs."""
 
     views: ViewModel
     seen: Returns
     image: Image
-    """Distances from the nearest return."""
+    """Squared angles to the nearest return."""
     detection: tuple[float, FloatArray]
-    """Table of the share of rays with a return, as ``energies`` takes it."""
+    """Table of the share of rays with a return, as for ``energies``."""
     truncation_m: float
-    """Greatest distance that counts, equal to that of the views' field, m."""
+    """Distance at which costs are truncated, equal to that of the views' field, m."""
     truncated: bool = False
-    """Whether the field of view cuts the target off, so that the returns may show any region of it."""
+    """Whether the target extends beyond the field of view, so that the returns may show any part of it."""
 
     @cached_property
     def centroid_m(self) -> FloatArray:
@@ -42,9 +42,9 @@ class Comparison:
         """Yield rough poses of the target in the sensor, least energy first.
 
         Args:
-            attitudes: R_sensor_target, shape (M, 3, 3); all are compared on few points.
-            compared: number of the best that are compared on all points.
-            refined: largest number of poses.
+            attitudes: R_sensor_target, shape (M, 3, 3); all of them are compared on few points.
+            compared: number of the best ones that are compared on all points.
+            refined: largest number of poses in the result.
         """
         if self.truncated:  # several positions for each attitude
             attitudes = attitudes[:: len(self.views.anchors_m) // 2]
@@ -84,8 +84,8 @@ class Comparison:
         Args:
             attitudes: R_sensor_target, shape (M, 3, 3).
             places_m: positions of the target in the sensor, shape (M, 3); replaced by the aligned ones.
-            rounds: how often the centroids are aligned.
-            roughly: whether few points and few returns are compared.
+            rounds: number of times that the centroids are aligned.
+            roughly: whether only few points and few returns are compared.
         """
         return energies(
             attitudes,

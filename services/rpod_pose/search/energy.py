@@ -1,8 +1,9 @@
 """Energies: fast measures of the mismatch between a scan and thousands of attitudes of the target.
 
-For each attitude the target is first aligned with the scan by its centroid: the expected centroid, over the
-points that face the sensor, weighted by how many rays they catch and by P_D, is moved to the scan's own.
-The mismatch is then computed in both directions, since a missing return counts as much as one too many:
+For each attitude the target is first aligned with the scan by its centroid. The expected centroid is that of
+the points that face the sensor, weighted by the number of rays that meet them and by the probability of
+detection. It is moved to the centroid of the scan. The mismatch is then computed in both directions, since a
+missing return counts as much as one too many:
 
 - each return costs its squared distance from the target's surface,
 - each point in view costs the squared distance of its ray from the nearest ray with a return.
@@ -35,7 +36,7 @@ Real = float | np.floating[Any]
 
 
 class Image(NamedTuple):
-    """Squared angles to the nearest return, on a grid even in tan(azimuth) and tan(elevation)."""
+    """Squared angles to the nearest return, on a grid with equal steps in tan(azimuth) and tan(elevation)."""
 
     squares: Float32Array
     """Squared angles, shape (CELLS, CELLS), rad2."""
@@ -83,13 +84,13 @@ def energies(
             aligned ones.
         seen: the measurement.
         points: surface points of the target.
-        squares: squared distance field of the target; its border stands for all places outside.
+        squares: squared distance field of the target; places outside have the values of its border.
         image: ``ReturnDistances.image`` of the scan.
         detection: steps of a table per unit of echo, albedo cos(theta) / R^2, and the table: the share of
             rays with a return.
         returns: approximate number of returns that are compared.
         rounds: how often the centroids are aligned.
-        truncation_m: greatest distance that counts, in both directions; equal to the field's.
+        truncation_m: distance at which costs are truncated, in both directions; equal to the field's.
     """
     energy = np.empty(len(attitudes), np.float32)
     sight = _Sight(
@@ -118,7 +119,7 @@ class _Echoes(NamedTuple):
 
 
 class _Sight(NamedTuple):
-    """A measurement in single precision, as the kernels take it."""
+    """A measurement in single precision, in the form that the kernels take."""
 
     returns: Float32Array
     """Measured points, sensor axes, shape (3, N), m."""

@@ -1,4 +1,4 @@
-"""Points spread evenly over a unit cube, and steps drawn with a covariance, the same at each start."""
+"""Evenly spread points in a unit cube, and steps with a given covariance; both are deterministic."""
 
 from functools import cache
 
@@ -10,14 +10,14 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.tables import kept
 
 _SEED = 1
-"""Seed of the scrambling. Numerics: any seed is as even."""
+"""Seed of the scrambling. Numerics: the points are equally even with any seed."""
 _WIDENED = 1e-6
 """Share of its variances that is added to a covariance before its Cholesky decomposition. Numerics: rounding
 may leave a nearly singular covariance with a negative eigenvalue; steps change by half of this share."""
 
 
 def sobol(dimensions: int, power: int) -> FloatArray:
-    """Return 2^power points of a scrambled Sobol sequence, always the same, shape (2^power, dimensions)."""
+    """Return 2^power points of a scrambled Sobol sequence, deterministic, shape (2^power, dimensions)."""
     inputs = dimensions, power, _SEED, scipy.__version__
     return kept("sobol", 1, inputs, lambda: {"points": _computed(dimensions, power)})["points"]
 
@@ -31,7 +31,7 @@ def steps_of(covariance: FloatArray, power: int) -> FloatArray:
 
 @cache
 def _normal_steps(power: int) -> FloatArray:
-    """Return 2^power standard normal steps in six dimensions, always the same, shape (2^power, 6)."""
+    """Return 2^power standard normal steps in six dimensions, deterministic, shape (2^power, 6)."""
     steps: FloatArray = ndtri(sobol(6, power))
     return steps
 

@@ -1,12 +1,12 @@
-"""Rotations that map the main faces of a target onto each other, wherever the faces are.
+"""Rotations that map the main faces of a target onto each other, whatever their positions.
 
-A satellite is often a box or a prism with smaller parts, which distinguish the attitudes in which the body
-looks alike. As a whole it is no near-symmetry: the parts displace the centre of its area, or break the
-symmetry. Where a frame hardly shows them, poses that differ by such a rotation are mistaken for each other.
+A satellite is often a box or a prism with smaller parts. Only these parts distinguish attitudes in which the
+body looks the same. The whole target has no near-symmetry, since the parts displace the centre of its area or
+break the symmetry. If a frame hardly shows the parts, poses that differ by such a rotation are confused.
 
 The faces are compared by their normals and areas alone, as in an extended Gaussian image (B. K. P. Horn,
-Proceedings of the IEEE 72, 1984), in which a translation changes nothing. Faces that look in opposite
-directions count as one.
+Proceedings of the IEEE 72, 1984), which does not depend on positions. Faces with opposite normals count as
+one direction.
 """
 
 from itertools import permutations, product
@@ -21,26 +21,27 @@ from rpod_target import Target
 from rpod_target.mesh.topology import areas_m2
 
 CELLS = 2000
-"""Number of directions among which the area of all faces is spread. Numerics: they are 4 deg apart."""
+"""Number of directions to which the areas of all faces are assigned. Numerics: they are 4 deg apart."""
 SAME = np.cos(np.deg2rad(6.0))
-"""Cosine of the angle below which two directions are one. Numerics: one and a half times that spacing."""
+"""Least cosine of the angle between two directions that count as one. Numerics: 6 deg is one and a half times
+the spacing of the directions."""
 APART = np.cos(np.deg2rad(20.0))
-"""Cosine of the least angle between the two directions that determine a rotation. Numerics: from a smaller
-angle an error of 6 deg is more than 17 deg of rotation."""
+"""Cosine of the least angle between two directions that determine a rotation. Numerics: with a smaller angle,
+an error of 6 deg causes a rotation error of more than 17 deg."""
 TURNED = 0.1
-"""Greatest difference of the cosines between two pairs of directions that a rotation maps onto each other.
-Numerics: 6 deg where they are orthogonal."""
+"""Largest difference of the cosines of two pairs of directions that a rotation maps onto each other.
+Numerics: 6 deg if they are orthogonal."""
 MAIN, ALL = 8, 24
-"""Numbers of directions, the largest first, that are mapped onto each other and that are compared then.
-Numerics: budgets; a prism of twelve sides has seven."""
+"""Number of directions with the largest areas that are mapped onto each other, and number that is compared
+afterwards. Numerics: budgets; a prism of twelve sides has seven."""
 MOST = 24
-"""Greatest number of rotations, the likeliest. Numerics: a budget; a cube has as many, with the identity."""
+"""Largest number of rotations in the result. Numerics: a budget; a cube has as many, with the identity."""
 
 
 def face_turns(target: Target) -> list[Rotation]:
-    """Return the rotations after which most of a target's area faces as before, the likeliest first.
+    """Return the rotations after which most of a target's area has the same normals, the best ones first.
 
-    The identity may be among them, and so are exact symmetries.
+    The identity and exact symmetries may be among them.
     """
     directions, areas = _main_directions(target)
     apart = np.flatnonzero(np.abs(directions @ directions[0]) < APART)
@@ -59,7 +60,7 @@ def face_turns(target: Target) -> list[Rotation]:
 
 
 def _main_directions(target: Target) -> tuple[FloatArray, FloatArray]:
-    """Return the directions that most of the area faces, shape (N, 3), and the areas, (N,), largest first."""
+    """Return the normals with the largest areas, shape (N, 3), and these areas, m2, (N,), largest first."""
     cells = even_directions(CELLS)
     _, cell = KDTree(cells).query(target.normals)
     areas_of = areas_m2(target.triangles_m)
@@ -78,7 +79,7 @@ def _main_directions(target: Target) -> tuple[FloatArray, FloatArray]:
 
 
 def _alike(turn: Rotation, directions: FloatArray, areas: FloatArray) -> float:
-    """Return the share of the area that faces as before after a rotation."""
+    """Return the share of the area whose normals are the same after a rotation."""
     cosines = np.abs(turn.apply(directions) @ directions.T)
     nearest = cosines.argmax(axis=1)
     same = cosines.max(axis=1) > SAME

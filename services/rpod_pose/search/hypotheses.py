@@ -14,16 +14,16 @@ from rpod_schemas.types import BeliefLevel
 from rpod_target import Equivalence
 
 NEGLIGIBLE = 1e-3
-"""Rivals with a smaller weight are not listed. Numerics: all that are left out hardly change the others."""
+"""Least weight of a listed rival. Numerics: the omitted ones hardly change the weights of the others."""
 
 
 def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, exact: Equivalence) -> tuple[Rival, ...]:
-    """Return the poses that explain a measurement beside the best one, likeliest first.
+    """Return the other poses, besides the best one, that explain a measurement, likeliest first.
 
     Args:
         poses: poses of the target, best first.
         log_likelihoods: log likelihoods of the measurement under the poses, shape (N,).
-        exact: the target's exact symmetries; each pose is listed with all of their turns.
+        exact: the target's exact symmetries; each pose is listed with all of its equivalent poses.
     """
     weights = softmax(log_likelihoods)
     best = poses[0]
@@ -51,7 +51,7 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
     Args:
         found: ``rivals`` of the best pose.
         belief: belief in the best pose alone.
-        least: least weight of the best pose, with its exact symmetries, to be accepted before other rivals.
+        least: least weight at which the best pose is accepted; its exact symmetries count as the pose itself.
     """
     belief = replace(belief, needed_weight=least)
     logs = np.array([0.0, *(rival.log_likelihood for rival in found)])
@@ -62,7 +62,7 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
     if sure and not exact:
         return replace(belief, rivals=found)
     if sure:
-        reason = f"{alike} poses cannot be told apart, by the target's symmetry"
+        reason = f"{alike} poses cannot be distinguished because of the target's symmetry"
         return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=tuple(exact))
     first = next(rival for rival in found if not rival.exact)
     reason = (

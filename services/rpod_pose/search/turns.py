@@ -1,4 +1,4 @@
-"""Rotations by which a target may be mistaken for itself."""
+"""Rotations after which a target may be confused with itself."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,10 +38,10 @@ PlacedT = TypeVar("PlacedT", bound=Placed)
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """Rotations by which a target may be mistaken for itself."""
+    """Rotations after which a target may be confused with itself."""
 
     all: FloatArray
-    """All of them, without the identity, the declared ones first, shape (T, 3, 3)."""
+    """All these rotations without the identity, the declared ones first, shape (T, 3, 3)."""
     declared: int
     """Number of the declared ones."""
     faces: FloatArray
@@ -59,7 +59,8 @@ class Turns:
     def of(cls, target: Target) -> Self:
         """Return a target's near-symmetries (or half turns), a cube's turns, and half of each exact symmetry.
 
-        A prism that is turned by half of its symmetry's angle hardly differs from itself.
+        The last ones are needed because a prism that is turned by half of its symmetry's angle looks almost
+        the same.
         """
         exact = target.equivalence
         declared = _distinct([turn.rotation for turn in target.turns()], exact)
@@ -75,7 +76,7 @@ class Turns:
         Args:
             attitudes: R_sensor_target, shape (P, 3, 3).
             others: other R_sensor_target, shape (O, 3, 3).
-            angle_deg: greatest angle between two close attitudes.
+            angle_deg: largest angle between two close attitudes.
 
         Returns:
             shape (P, O).
@@ -88,7 +89,7 @@ class Turns:
 
         Args:
             ranked: poses of the target, best first.
-            angle_deg: greatest angle between two close attitudes.
+            angle_deg: largest angle between two close attitudes.
         """
         attitudes = matrices(ranked)
         close = self.close(attitudes, attitudes, angle_deg)

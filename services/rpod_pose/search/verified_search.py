@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.ports import Acquisition, Candidates, Registration, Search, Tracker
-from rpod_pose.unwanted import step
 from rpod_schemas.types import SensorFrame, Source
 
 
@@ -44,7 +44,7 @@ class VerifiedSearch:
         accepted: list[Registration] = []
         refused: list[Registration] = []
         for candidate in found.poses:
-            step()
+            stop_if_cancelled()
             registration = self._tracker.track(measurement, candidate.T_sensor_target)
             if not registration.begins_track:
                 refused.append(registration)

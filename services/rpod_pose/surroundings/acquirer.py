@@ -21,25 +21,23 @@ from rpod_schemas.poses import make_pose
 from rpod_schemas.types import BeliefLevel, Source
 
 LEAST_VISIBLE_FIRST = 0.75
-"""Least share of the target that must be visible for a track to begin. Hand: details that are hidden do not
-tell it from its near-symmetries."""
+"""Least share of the target that must be visible for a track to begin. Hand: hidden details cannot
+distinguish it from its near-symmetries."""
 LEAST_IN_VIEW = 0.5
 """Least share of the target in the field of view for a track to begin. Hand: other things resemble a small
 part."""
 LEAST_OUTLINE = 0.5
-"""Least share of the target's whole outline at which it is seen to end for a track to begin. Hand: an edge of
-a wall or a plate has the shape of a target's side, but it does not go around a half of the target (decision
-57)."""
+"""Least share of the target's outline that must be visible for a track to begin. Hand: an edge of a wall or a
+plate has the shape of a target's side, but it does not go around half of the target (decision 57)."""
 OUTLINE = "seen_outline_share"
-"""Name of the evidence that says at how much of its outline the target is seen to end."""
+"""Name of the evidence with the visible share of the target's outline."""
 WITHIN_REACH = "; if something touches the target, declare it: see the bodies of a sensor's surroundings"
-"""Remedy where a pose is found only if things within the target's reach are not its own: they look like its
-details."""
+"""Remedy if a pose is found only without the things near the target: they look like details of the target."""
 OTHER_UNIT = (
     "the pose is a part of a larger thing, which looks like the target itself if all depths are divided by "
     "{:g}: check the unit of the ranges, of a camera source.depth_unit_m"
 )
-"""Reason for which a part of a larger thing is not the target."""
+"""Reason why a part of a larger thing is not the target."""
 
 
 class AcquirerAmongThings(Generic[FrameT]):
@@ -48,8 +46,8 @@ class AcquirerAmongThings(Generic[FrameT]):
     Args:
         acquirer: search in frames that show the target alone.
         tracker: tracker of frames that show other things too.
-        likelihoods: weighs poses against each other in one frame; None if the search itself compares all of
-            its poses in the whole frame.
+        likelihoods: compares poses in one frame; None if the search itself compares all of its poses in the
+            whole frame.
     """
 
     def __init__(
@@ -62,19 +60,20 @@ class AcquirerAmongThings(Generic[FrameT]):
         self._turns = Turns.of(tracker.target)
 
     def acquire(self, measurement: FrameT) -> Acquisition:
-        """Search without any prior pose."""
+        """Return the result of a search without a prior pose."""
         return self._acquired(measurement, None)
 
     def near(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Acquisition:
-        """Search around a pose that is too far off for the tracker."""
+        """Return the result of a search near a pose that is too far off for the tracker."""
         return self._acquired(measurement, T_sensor_target)
 
     def _acquired(self, measurement: FrameT, pose: RigidTransform | None) -> Acquisition:
         """Return the acquisition near a pose, or anywhere.
 
-        A frame that shows little more than a target would fill is first taken for the target alone. Where
-        it contradicts every pose, a thing may touch the target: an arm before a black curtain. A part of it
-        must lie beyond the target's reach, since a wrong pose leaves a part of the target itself.
+        A frame that shows little more than a target would fill is first assumed to show only the target. If
+        it contradicts every pose, another thing may touch the target, for example an arm in front of a black
+        curtain. A part of this thing must lie beyond the target's reach: what remains within the reach at a
+        wrong pose may be a part of the target itself.
         """
         image = self._tracker.cluttered(measurement)
         if image is not None:
@@ -99,7 +98,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         return self._acquirer.near(measurement, pose)
 
     def _found(self, measurement: FrameT, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
-        """Return the acquisition at the first place where a track may begin; at none, the best failure."""
+        """Return the acquisition at the first place where a track may begin; otherwise the best failure."""
         frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
         fine = frames.image(measurement, fine=True)
         assert fine is not None  # noqa: S101 - the coarse image is known
@@ -129,7 +128,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         return accepted or best
 
     def _ratio_of_units(self, measurement: FrameT, image: RangeImage, found: Acquisition) -> float:
-        """Return the ratio of a unit in which a larger thing around a pose is the target; 0 if it is none."""
+        """Return the ratio of units with which a larger thing around a pose is the target; 0 if none fits."""
         frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
         assert found.pose is not None  # noqa: S101 - it is accepted
         for ratio, thing in other_units(image, radius_m, found.pose.translation):
@@ -189,11 +188,11 @@ class AcquirerAmongThings(Generic[FrameT]):
         return found if again is found else self._in_view(fine, again)
 
     def _are_close(self, pose: RigidTransform, other: RigidTransform) -> bool:
-        """Return whether two poses leave about the same of a frame."""
+        """Return whether two poses are so close that they leave about the same part of a frame."""
         return are_close(self._tracker.target, pose, other, MARGINS[0])
 
     def _is_among(self, found: Registration, others: Sequence[Registration]) -> bool:
-        """Return whether a registered pose is about one of others."""
+        """Return whether a registered pose is close to one of several others."""
         poses = (found.T_sensor_target, *(other.T_sensor_target for other in others))
         first, *rest = (pose for pose in poses if pose is not None)
         return any(self._are_close(first, other) for other in rest)
@@ -201,11 +200,11 @@ class AcquirerAmongThings(Generic[FrameT]):
     def _searched_in_remainder(
         self, measurement: FrameT, fine: RangeImage, found: Acquisition, pose: RigidTransform | None
     ) -> Acquisition:
-        """Return an accepted acquisition, or that of a search in what its pose leaves of the frame.
+        """Return an accepted acquisition, or that of a second search in the part of the frame at its pose.
 
         In the first search, other things that touch the target count as its parts, so that it may miss the
-        pose that explains the target best. The part of the frame that the accepted pose leaves shows little
-        beside the target, and the same search compares all attitudes in it.
+        best pose. The part of the frame that remains at the accepted pose shows little besides the target. In
+        this part all attitudes are compared again.
         """
         assert found.pose is not None  # noqa: S101 - it is accepted
         sight = self._tracker.without_target_at(fine, found.registration)
@@ -213,11 +212,11 @@ class AcquirerAmongThings(Generic[FrameT]):
         return found if again.outcome is Outcome.FAILED else again
 
     def _compared(self, measurement: FrameT, fine: RangeImage, found: Acquisition) -> Acquisition:
-        """Return an accepted acquisition, or that of a near-symmetry that the whole frame shows as likely.
+        """Return an accepted acquisition, or that of a near-symmetry that is likelier in the whole frame.
 
-        A search in a part of the frame compares poses with other things in this part too, and these may make
-        a near-symmetry likelier. Here each pose is aligned with what it leaves of the frame itself, and all
-        are compared in all rays that one of them keeps.
+        A search in a part of the frame also compares poses with other things in this part, which may make a
+        near-symmetry likelier. Here each pose is aligned in the part of the frame that remains at this pose.
+        Then all poses are compared on all rays that remain at one of them.
         """
         pose, tracker = found.pose, self._tracker
         if self._likelihoods is None or pose is None or not found.begins_track:
@@ -239,9 +238,10 @@ class AcquirerAmongThings(Generic[FrameT]):
         return found if again is found else self._in_view(fine, again)
 
     def _held(self, measurement: FrameT, found: Acquisition) -> Acquisition:
-        """Return an acquisition, contradicted if the tracker loses an accepted pose in the same frame.
+        """Return an acquisition, contradicted if the tracker refuses its pose in the same frame.
 
-        It is aligned as the next frame will be; a pose at another thing is accepted from elsewhere only.
+        The tracker starts from the pose, as in the next frame. A pose at another thing may be accepted when
+        it is reached from elsewhere, but not from itself.
         """
         if found.pose is None or not found.begins_track:
             return found
@@ -273,15 +273,15 @@ class AcquirerAmongThings(Generic[FrameT]):
             return replace(found, registration=replace(found.registration, belief=belief))
         vague = (
             f"the frame shows other things too: {share:.0%} of the target is in view, {LEAST_IN_VIEW:.0%} "
-            f"needed, {visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and it is seen to "
-            f"end at {outline:.0%} of its outline, {LEAST_OUTLINE:.0%} needed"
+            f"needed, {visible:.0%} of it is not hidden, {LEAST_VISIBLE_FIRST:.0%} needed, and "
+            f"{outline:.0%} of its outline is visible, {LEAST_OUTLINE:.0%} needed"
         )
         belief = replace(found.belief, insufficient=vague, evidence=evidence)
         return replace(found, registration=replace(found.registration, belief=belief))
 
 
 def _apart_m(found: Acquisition, other: Acquisition | None) -> float:
-    """Return the distance between the positions of two acquired poses; 0 without one."""
+    """Return the distance between the positions of two acquired poses, m; 0 if one of them is missing."""
     if found.pose is None or other is None or other.pose is None:
         return 0.0
     return float(np.linalg.norm(found.pose.translation - other.pose.translation))

@@ -1,7 +1,7 @@
-"""Known bodies beside the target, such as the arm that holds it: surfaces, and places at a frame's stamp.
+"""Known bodies beside the target, such as the arm that holds it: surfaces, and poses at a frame's stamp.
 
-A ray on such a body tells nothing of the target. So the body is neither taken for the target nor a
-contradiction, and it hides what is behind it.
+A ray on such a body gives no information on the target. So the body is neither taken for the target nor a
+contradiction, and it hides things behind it.
 """
 
 from bisect import bisect_right
@@ -27,8 +27,8 @@ from rpod_target.mesh.files import surface_m
 from rpod_target.mesh.topology import unit_normals
 
 LONGEST_GAP_S = 0.1
-"""Time from the newest reading beyond which the place of a body is not known. Physics: an arm that moves with
-0.3 m/s and 3 m/s2 is then 15 mm off its extrapolated place."""
+"""Longest time from the newest reading for which the pose of a body is known. Physics: an arm that moves with
+0.3 m/s and 3 m/s2 is then 15 mm off its extrapolated position."""
 KEPT_S = 10.0
 """Time for which readings are kept. Numerics: memory; frames are not older."""
 
@@ -64,8 +64,8 @@ class Surface:
 class FrameTrack:
     """Poses of a frame in ``chaser``, in the order of their stamps.
 
-    Readings after a stamp do not count for it, so that a pose is the same in a live run and in a replay. The
-    last two readings up to the stamp are extrapolated.
+    A pose does not depend on readings after its stamp, so that it is the same in a live run and in a replay.
+    It is extrapolated from the last two readings up to the stamp.
     """
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class FrameTrack:
         self._poses: list[RigidTransform] = []
 
     def take(self, stamp_ns: int, T_chaser_frame: RigidTransform) -> bool:
-        """Add a reading; return whether it is newer than all before, otherwise it is not used."""
+        """Add a reading and return True; if it is not newer than all before, ignore it and return False."""
         if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
             return False
         self._stamps_ns.append(stamp_ns)
@@ -84,12 +84,12 @@ class FrameTrack:
         return True
 
     def forget(self) -> None:
-        """Forget all readings, as after a clock was set back."""
+        """Forget all readings, for example after a clock was set back."""
         self._stamps_ns.clear()
         self._poses.clear()
 
     def covers(self, stamp_ns: int) -> bool:
-        """Return whether all readings up to a stamp are there, if they go on as before."""
+        """Return whether all readings up to a stamp have arrived, if their period stays the same."""
         if len(self._stamps_ns) < 2:
             return False
         return 2 * self._stamps_ns[-1] - self._stamps_ns[-2] > stamp_ns
@@ -119,7 +119,7 @@ class KnownBodies:
         self.tracks: dict[str, FrameTrack] = {frame: FrameTrack() for frame in frames}
         """Readings of the frames that move, by name."""
         self.book = BodyBook()
-        """Results of the frames about the bodies."""
+        """States of the bodies, as the frames show them."""
 
     @classmethod
     def of(cls, bodies: Mapping[str, KnownBody], folder: Path) -> Self | None:
@@ -137,8 +137,8 @@ class KnownBodies:
     ) -> NDArray[np.bool_]:
         """Return the rays on which a known body may hide the target, shape (rows, columns).
 
-        What the frame shows of each body is noted in ``book``. A body that the sensor sees elsewhere hides
-        nothing: the frame is used as if it were not known.
+        The state of each body in the frame is noted in ``book``. A body that the sensor sees at another place
+        hides nothing: the frame is used as if the body were unknown.
 
         Args:
             image: ranges of a frame.
@@ -161,7 +161,7 @@ class KnownBodies:
 
 
 def placed(image: RangeImage, surface: Surface, pose: RigidTransform) -> Place | None:
-    """Return a body as its pose places it in a frame; None if no ray meets it."""
+    """Return a body rendered at its pose in a frame; None if no ray meets it."""
     hits = cast(image.grid, surface.triangles_m, pose)
     rendered_m, met = hits.range_m, hits.triangle >= 0
     if not met.any():
@@ -179,10 +179,10 @@ def placed(image: RangeImage, surface: Surface, pose: RigidTransform) -> Place |
 
 
 def _hidden_by(image: RangeImage, place: Place) -> NDArray[np.bool_]:
-    """Return the rays on which a body is: those that end at its surface, or that must have met it.
+    """Return the rays on a body: those that end at its surface, and those that must have met it.
 
-    The surface may be off by its tolerance in each direction. Pixels beside these see the body and what is
-    next to it, so that their ranges are neither's.
+    The surface may be off by its tolerance in each direction. Pixels beside these rays show a mixture of the
+    body and of things next to it, so that their ranges belong to neither.
     """
     met = np.isfinite(place.rendered_m)
     shape = place.reach.around

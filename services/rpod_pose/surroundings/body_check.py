@@ -1,10 +1,11 @@
-"""Whether sensors see a known body where its pose says that it is.
+"""Check whether sensors see a known body at the place that its pose states.
 
-If encoders, calibration or file of a body are wrong, good pixels are removed, and the body's own pixels stay.
-A ray that should meet the body ends on it, before it (something hides the body there), beyond it, or nowhere.
-If most of the rays that nothing hides end elsewhere, the same shape is searched nearby: its surface has to be
-found at one offset, and has to end where the body ends, so that a wall behind the body is not taken for it. A
-dark body gives no ranges at all. This is a case of its own: the body is not seen, and not checked.
+If the encoders, the calibration or the file of a body are wrong, good pixels are removed, and the pixels of
+the body stay. A ray that should meet the body ends on it, in front of it (something hides the body there),
+beyond it, or has no range. If most of the rays that nothing hides end elsewhere, the same shape is searched
+nearby. Its surface must be found at one offset, and must end where the body ends, so that a wall behind the
+body is not taken for it. A dark body gives no ranges at all. In this case the body is not seen and not
+checked.
 """
 
 from collections import Counter
@@ -22,45 +23,45 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 LEAST_RAYS = 20
-"""Least number of rays that should meet a body, and that nothing hides, by which it is checked. Hand: fewer
-rays tell a share to a tenth or worse."""
+"""Least number of rays that should meet a body, and that nothing hides, for a check. Hand: fewer rays give a
+share with an error of a tenth or more."""
 LEAST_SHARE = 0.5
-"""Least share of these rays that must end on it. Hand: the other half may be dark, or too steep for a
+"""Least share of these rays that must end on the body. Hand: the others may be dark, or too oblique for a
 range."""
 MOST_BEYOND = 0.1
-"""Greatest share of its rays with a range that may end beyond a body. Hand: none does within its
-tolerance."""
+"""Largest share of a body's rays with a range that end beyond it. Hand: none does within its tolerance."""
 FARTHEST_STEPS = 8
-"""Greatest offset at which the shape is looked for, in tolerances, along each direction. Numerics: a budget;
-the time grows with its square."""
+"""Largest offset at which the shape is searched, in tolerances, along each direction. Numerics: a budget; the
+time grows with its square."""
 FOUND_SHARE, ENDS_SHARE = 0.6, 0.4
-"""Least share of the shape that is found at an offset, and how much less of what surrounds it may agree.
-Hand: more than by chance, and less around it, so that a wall is not taken for it."""
+"""Least share of the shape that must be found at an offset, and least difference to the share of agreeing
+rays around it. Hand: the share is above chance, and smaller around the shape, so that a wall is not taken for
+it."""
 THICK = 0.1
-"""Least share of a body's rays farther than its tolerance from its outline. Hand: below it the body is
-thin."""
+"""Least share of a thick body's rays that are farther than its tolerance from its outline. Hand: with fewer
+the body counts as thin."""
 STEEPEST = 0.2
-"""Least cosine of incidence by which a distance along a ray is turned into one from the surface. Hand: 78
+"""Least cosine of incidence by which a distance along a ray is converted to one from the surface. Hand: 78
 deg; at larger angles such a distance is mostly noise."""
 LEAST_SEEN = 0.75
 """Least share of the shape that must be in the image at an offset. Hand: a quarter may be outside it."""
 BETTER_SHARE = 0.2
-"""Least share by which more of the shape is found at an offset than at its announced place. Hand: a smaller
-value reports bodies that are in their place."""
+"""Least excess of the share of the shape that is found at an offset over that at its announced place. Hand: a
+smaller value reports bodies that are in their place."""
 NEAREST_FIRST = 0.03
-"""Share that an offset of one tolerance must win. Hand: along a long limb many offsets are alike."""
+"""Share that is subtracted for each tolerance of offset. Hand: along a long limb many offsets fit equally."""
 MOST_INSIDE, MOST_AROUND = 300, 150
-"""Most rays on the shape and around it that are compared at each offset. Numerics: budgets; a share is then
-known to 3 and 4 %."""
+"""Largest numbers of rays on the shape and around it that are compared at each offset. Numerics: budgets; a
+share is then known to 3 and 4 %."""
 FRAMES = 3
 """Number of checked frames in a row after which a body's state changes. Hand: one frame may be disturbed."""
 
 
 class BodyState(StrEnum):
-    """State of a body, as one frame shows it."""
+    """State of a body in one frame."""
 
     IN_PLACE = "in_place"
-    """It is seen where its pose says."""
+    """It is seen at the place that its pose states."""
     ELSEWHERE = "elsewhere"
     """Rays pass through its announced place, or its shape is found at another one."""
     UNSEEN = "unseen"
@@ -70,14 +71,14 @@ class BodyState(StrEnum):
 
 
 class Place(NamedTuple):
-    """A body as its pose and its tolerance place it in a frame."""
+    """A body rendered in a frame at its pose, with its tolerance."""
 
     rendered_m: Float32Array
     """Range of its surface, shape (rows, columns), infinite on rays that do not meet it."""
     nearest_m: Float32Array
-    """Least range of its surface, if it is off by its tolerance, same shape."""
+    """Least range of its surface within its tolerance, same shape."""
     farthest_m: Float32Array
-    """Greatest range, same shape, not above the tolerance on rays far from it."""
+    """Largest range of its surface within its tolerance, same shape; the tolerance on rays far from it."""
     cosine: FloatArray
     """Cosine of incidence of the rays that meet it, same shape."""
     tolerance_m: float
@@ -87,8 +88,8 @@ class Place(NamedTuple):
     def agreeing(self, measured_m: Float32Array) -> NDArray[np.bool_]:
         """Return the rays whose measured ranges, 0 without one, are those of the body, shape (rows, columns).
 
-        The distance from its surface counts, not that along the ray. A body thinner than its tolerance may be
-        beside its rays altogether.
+        Ranges are compared by the distance from the surface, not by that along the ray. A body that is
+        thinner than its tolerance may lie completely beside its rays.
         """
         met, measured = np.isfinite(self.rendered_m), measured_m > 0.0
         if np.count_nonzero(cv2.erode(met.view(np.uint8), self.reach.around)) < THICK * np.count_nonzero(met):
@@ -108,9 +109,9 @@ class Sighting:
     rays: int = 0
     """Number of rays that should meet the body and that nothing hides."""
     in_place: int = 0
-    """Number of these that end on it."""
+    """Number of these rays that end on the body."""
     beyond: int = 0
-    """Number of these that end beyond it."""
+    """Number of these rays that end beyond the body."""
     offset_m: FloatArray | None = None
     """Offset at which the shape is found, sensor axes, shape (3,); None if it is not."""
 
@@ -121,7 +122,7 @@ class Sighting:
 
 
 def sighting(body: str, image: RangeImage, place: Place) -> Sighting:
-    """Return what a frame shows of a body."""
+    """Return the evidence of a frame for a body."""
     met, measured_m = np.isfinite(place.rendered_m), image.range_m
     measured = measured_m > 0.0
     near = cv2.dilate(place.agreeing(measured_m).view(np.uint8), place.reach.around).view(np.bool_)
@@ -156,7 +157,7 @@ class _Rays(NamedTuple):
     def shifted(
         self, image_m: Float32Array, shifts: NDArray[np.intp]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return how far measured ranges are beyond the surface if it is shifted, and which rays are seen.
+        """Return measured ranges minus those of the shifted surface, and which rays are in the image.
 
         Args:
             image_m: measured ranges, 0 without one.
@@ -172,7 +173,7 @@ class _Rays(NamedTuple):
 
 
 def _subsampled(rays: NDArray[np.bool_], rendered_m: Float32Array, most: int) -> _Rays:
-    """Return at most about so many of some rays, evenly taken."""
+    """Return at most about ``most`` of some rays, evenly distributed."""
     row, column = np.nonzero(rays)
     every = max(1, row.size // most)
     row, column = row[::every], column[::every]
@@ -249,14 +250,14 @@ class _Record:
 
 @dataclass
 class BodyBook:
-    """States of the bodies by the frames of each sensor, with the texts for an operator."""
+    """States of the bodies in the frames of each sensor, with the texts for an operator."""
 
     counts: Counter[tuple[str, str, BodyState]] = field(default_factory=Counter)
     """Number of frames by body, sensor and state."""
     _records: dict[tuple[str, str], _Record] = field(default_factory=dict)
 
     def take(self, sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> bool:
-        """Add what a frame of a sensor shows; return whether the body's pose is believed for this frame.
+        """Add the evidence of a frame; return whether the body's pose is believed for this frame.
 
         The pose is not believed if the sensor has seen the body elsewhere in ``FRAMES`` frames in a row,
         unless this frame shows the body in its place.
@@ -264,7 +265,7 @@ class BodyBook:
         Args:
             sensor: name of the sensor.
             seen: what the frame shows.
-            R_chaser_sensor: the sensor's axes in the chaser's, shape (3, 3).
+            R_chaser_sensor: rotation matrix from sensor axes to chaser axes, shape (3, 3).
         """
         self.counts[seen.body, sensor, seen.state] += 1
         record = self._records.setdefault((seen.body, sensor), _Record())
@@ -285,7 +286,7 @@ class BodyBook:
 
 
 def warning_of(sensor: str, seen: Sighting, R_chaser_sensor: FloatArray) -> str:
-    """Return what an operator must know of a body, with figures and remedy; empty if it is in its place."""
+    """Return the warning about a body, with figures and remedy; empty if it is in its place."""
     if seen.state in (BodyState.IN_PLACE, BodyState.HIDDEN):
         return ""
     if seen.state is BodyState.UNSEEN:

@@ -1,9 +1,10 @@
-"""Poses that a part of a frame contradicts, where returns of other things in this part do so.
+"""Repeated searches for poses that are contradicted only by other things in a part of a frame.
 
-A search does not know which returns are the target's. Those of an arm or a stand contradict the right pose
-too, and may make a near-symmetry likelier. A pose tells which returns cannot be the target's, so the search
-is repeated without these. What remains compares all attitudes alike, since a return that no attitude explains
-costs each the same. So the part ranks the poses, and the whole frame judges the best one.
+A search does not know which returns are on the target. Those on an arm or a stand contradict the right pose
+too, and may make a near-symmetry likelier. A pose determines which returns cannot be on the target, so the
+search is repeated without them. The remaining returns compare all attitudes fairly, since a return that no
+attitude explains adds the same to each. So the part of the frame ranks the poses, and the whole frame decides
+about the best one.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,8 +24,8 @@ from rpod_schemas.types import BeliefLevel
 from rpod_target import Equivalence, Target
 
 ROUNDS = 3
-"""Number of searches in what a contradicted pose leaves of a frame. Numerics: a budget; each starts from a
-pose that fewer other things have led astray, and the last confirms the one before."""
+"""Largest number of searches in the part of a frame that remains at a contradicted pose. Numerics: a budget;
+each starts from a pose that is less affected by other things, and the last one confirms the previous one."""
 
 
 def supported(
@@ -37,15 +38,15 @@ def supported(
 ) -> Acquisition:
     """Return an acquisition that a part contradicts and the whole frame supports; others are unchanged.
 
-    A pose counts if it is also the best one in what it leaves itself: what another pose leaves may lack
-    returns of the target.
+    A pose is used only if it is also the best one in the part of the frame that remains at this pose: at
+    another pose, returns of the target may be missing from the part.
 
     Args:
         found: acquisition in a part of a frame.
         track: registration in the whole frame, from a pose.
-        search: acquisition in what a pose leaves of the frame.
-        alike: whether two poses leave about the same.
-        likely: whether the target is probably in this part; elsewhere the frame must support the first pose.
+        search: acquisition in the part of the frame that remains at a pose.
+        alike: whether two poses leave about the same part of a frame.
+        likely: whether the target is probably in this part; if not, the frame must support the first pose.
     """
     again, left_by = found, None
     for number in range(ROUNDS + 1):
@@ -74,9 +75,10 @@ def are_close(target: Target, pose: RigidTransform, other: RigidTransform, share
 
 
 def _as_many(whole: Registration, first: Registration) -> bool:
-    """Return whether a pose explains as many measurements as the first one did, but for chance.
+    """Return whether a pose explains as many measurements as the first one, within chance.
 
-    A wrong pose may leave the target itself out of the remainder, and then be the best one there.
+    At a wrong pose the target itself may not be in the remaining part, and the pose may then be the best one
+    there.
     """
     return whole.inliers >= first.inliers - sqrt(first.inliers)
 
@@ -96,8 +98,8 @@ def with_likely(
 
     Args:
         found: accepted acquisition.
-        poses: its registration, and those of its near-symmetries.
-        logs: their log likelihoods in the same rays, shape (N,).
+        poses: registration of the acquisition, and those of its near-symmetries.
+        logs: their log likelihoods on the same rays, shape (N,).
         exact: the target's exact symmetries.
     """
     order = np.argsort(-logs, kind="stable")
@@ -111,6 +113,6 @@ def with_likely(
 
 
 def with_contradiction(found: Acquisition, reason: str) -> Acquisition:
-    """Return an acquisition whose pose is contradicted, with the evidence that it had."""
+    """Return an acquisition whose pose is contradicted for a reason; its evidence is kept."""
     belief = contradicted(reason, **found.belief.evidence)
     return replace(found, registration=replace(found.registration, belief=belief))

@@ -1,4 +1,4 @@
-"""The interface by which frames of a sensor kind are separated into the target's part and other things."""
+"""Port of a sensor kind whose frames can be separated into the target's part and other things."""
 
 from typing import Protocol, TypeVar
 
@@ -20,7 +20,7 @@ class Frames(Protocol[FrameT]):
         ...
 
     def image(self, frame: FrameT, *, fine: bool) -> RangeImage | None:
-        """Return the ranges of a frame, of few rays or of as many as useful; None if they are not known."""
+        """Return the ranges of a frame on few rays, or on many if ``fine``; None if they are unknown."""
         ...
 
     def separated(self, frame: FrameT, labels: NDArray[np.uint8], inside: NDArray[np.bool_]) -> FrameT:
@@ -43,18 +43,18 @@ class Frames(Protocol[FrameT]):
         ...
 
     def nearer(self, frame: FrameT, ratio: float) -> FrameT:
-        """Return a frame whose ranges are smaller by a ratio."""
+        """Return a frame whose ranges are divided by a ratio."""
         ...
 
     def part_of(self, part: FrameT, whole: FrameT) -> FrameT:
-        """Return a separated frame from which ``whole_of`` may get the whole one.
+        """Return a separated frame that may contain the whole one, for ``whole_of``.
 
-        A tracker inside a search then verifies a pose in the whole frame.
+        A tracker within a search can then verify a pose in the whole frame.
         """
         ...
 
     def whole_of(self, frame: FrameT) -> FrameT | None:
-        """Return the whole frame of a part that ``part_of`` made; None where it is not kept."""
+        """Return the whole frame of a part that ``part_of`` has created; None if it is not kept."""
         ...
 
     def every_range_m(self, frame: FrameT) -> Float32Array:

@@ -1,7 +1,7 @@
 """Knowledge of a sensor's surroundings: a range gate, a mask, and a background without the target.
 
-The background is learned from frames without the target: for each pixel or ray the median range and its
-noise. What agrees with it is not the target. It is stored as the arrays of an ``npz`` file.
+The background is learned from frames without the target: for each pixel or ray, the median range and its
+noise. Ranges that agree with it are not on the target. It is stored as arrays in an ``npz`` file.
 """
 
 from collections.abc import Iterable
@@ -28,17 +28,17 @@ LEAST_SEEN = 0.5
 """Least share of the frames in which a pixel must have a range to belong to the background. Hand: at a place
 where a range is rarer, something else may be in front."""
 SIGMAS = 4.0
-"""Greatest distance from the background, in its standard deviations, at which a range agrees with it.
+"""Largest distance of a range from the background, in standard deviations, at which it agrees with it.
 Physics: one in 16,000 normal errors is larger."""
 RESOLUTION = 2e-3
 """Least standard deviation of a range, over the range. Hand: clocks and temperature drift."""
 MOST_FRAMES = 200
-"""Most frames from which a background is learned, spread evenly over all. Numerics: memory; a median is then
-known to a tenth of the noise."""
+"""Largest number of frames from which a background is learned; they are spread evenly over all frames.
+Numerics: memory; a median is then known to a tenth of the noise."""
 
 
 class KnownSurroundingsError(PoseError):
-    """The given knowledge of the surroundings cannot be used."""
+    """The knowledge of a sensor's surroundings cannot be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Background:
     sigma_m: Float32Array
     """Standard deviation of a range, same shape."""
     frames: int = 0
-    """Number of frames from which it was learned; 0 where that is not known."""
+    """Number of frames from which it was learned; 0 if it is unknown."""
 
     def __post_init__(self) -> None:
         """Check that both arrays are of one image."""
@@ -88,7 +88,7 @@ class Background:
         """Return a background from a file.
 
         Raises:
-            KnownSurroundingsError: the file cannot be read, or holds something else.
+            KnownSurroundingsError: the file cannot be read, or has no background.
         """
         try:
             with path.open("rb") as stream, np.load(stream) as arrays:
@@ -99,7 +99,7 @@ class Background:
             ) from error
 
     def agrees(self, range_m: Float32Array) -> NDArray[np.bool_]:
-        """Return which ranges, 0 without one, are those of the background."""
+        """Return which ranges, 0 without one, agree with the background."""
         sigma_m = np.maximum(self.sigma_m, RESOLUTION * self.range_m)
         close: NDArray[np.bool_] = np.abs(range_m - self.range_m) < SIGMAS * sigma_m
         return close & (self.range_m > 0.0) & (range_m > 0.0)
@@ -134,7 +134,7 @@ def _size(image: NDArray[Any]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class KnownParts:
-    """Part of a sensor's frames that may show the target, as far as it is known beforehand."""
+    """Known parts of a sensor's frames that cannot show the target."""
 
     frames: Frames[Any]
     gate_m: tuple[float, float]
@@ -156,7 +156,7 @@ class KnownParts:
         *,
         sensor: str = "",
     ) -> Self:
-        """Return what is known of a sensor's frames; files are relative to a folder.
+        """Return the known parts of a sensor's frames; files are relative to a folder.
 
         Raises:
             KnownSurroundingsError: a file cannot be read.
@@ -173,7 +173,7 @@ class KnownParts:
         return cls(frames, gate_m, unused, background, bodies, sensor, *dead)
 
     def without(self, frame: Any) -> Any:
-        """Return a frame without what is known to be no target.
+        """Return a frame without the parts that are known to be no target.
 
         Raises:
             KnownSurroundingsError: mask or background have another size than the frame.
@@ -213,11 +213,11 @@ class KnownParts:
         return unused
 
     def of_target(self, frame: Any, stamp_ns: int, T_chaser_sensor: RigidTransform) -> Any:
-        """Return a frame without what is known to be no target, also without the known bodies.
+        """Return a frame without the parts that are known to be no target, and without the known bodies.
 
         Args:
             frame: the frame.
-            stamp_ns: its stamp, at which the bodies' poses count.
+            stamp_ns: stamp of the frame, for which the bodies' poses are used.
             T_chaser_sensor: mount of the sensor.
 
         Raises:
@@ -250,7 +250,7 @@ def known_bodies(path: Path | None) -> KnownBodies | None:
 def known_parts(
     path: Path, sensor: str, frames: Frames[Any] | None, bodies: KnownBodies | None = None
 ) -> KnownParts | None:
-    """Return what a file says of a sensor, and the bodies that it may see; None if nothing.
+    """Return the known parts of a sensor from a file, with the known bodies; None if there are none.
 
     Raises:
         rpod_schemas.errors.ConfigurationError: the file is wrong.

@@ -1,11 +1,11 @@
 """Units of the depth in which a larger thing in a frame would be of the target's size.
 
-If a driver gives its depths in another unit than the configuration says, the target appears larger by the
-ratio of both units, and a part of it may look like the target. With an arm that holds the target, or a wall
-that touches it, there is a larger thing too, but this thing looks like the target in no other unit.
+If a driver gives its depths in another unit than the configuration states, the target appears larger by the
+ratio of both units, and a part of it may look like the target. An arm that holds the target, or a wall that
+touches it, makes a larger thing too, but this thing looks like the target in no other unit.
 
-A room is no such thing: it reaches opposite borders of the image, and nothing shows how large it is. With its
-ranges divided by ten it lies within a few times their noise, where any face of the target explains it.
+A room is not tested: it reaches opposite borders of the image, so that its size is unknown. If its ranges
+were divided by ten, it would lie within a few times their noise, and any face of the target would explain it.
 """
 
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 _UNITS_M = 1.0, 1e-3, 2.5e-4, 1e-4
-"""Units in which drivers give depths. Physics: of REP 118 (32FC1, 16UC1), and finer steps of devices
+"""Units in which drivers give depths, m. Physics: those of REP 118 (32FC1, 16UC1), and finer steps of devices
 (RealSense)."""
 _RATIOS = sorted({one / other for one in _UNITS_M for other in _UNITS_M if one > other})
 
@@ -36,12 +36,12 @@ class OtherUnit(NamedTuple):
 
 
 def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iterator[OtherUnit]:
-    """Yield units in which the thing around a place is of the target's size; none if it is as it is.
+    """Yield units in which the thing around a place has the target's size; none if it has it already.
 
     Args:
         image: ranges of a frame.
         radius_m: radius of the target's bounding sphere.
-        place_m: where a pose was found, sensor axes, shape (3,).
+        place_m: position of a pose that was found, sensor axes, shape (3,).
     """
     measured, points_m = image.range_m > 0.0, image.points_m
     around = measured & (np.linalg.norm(points_m - place_m, axis=-1) < radius_m)
@@ -63,6 +63,6 @@ def other_units(image: RangeImage, radius_m: float, place_m: FloatArray) -> Iter
 
 
 def nearer(image: RangeImage, ratio: float) -> RangeImage:
-    """Return an image whose ranges are smaller by a ratio."""
+    """Return an image whose ranges are divided by a ratio."""
     range_m: Float32Array = (image.range_m / np.float32(ratio)).astype(np.float32)
     return replace(image, range_m=range_m)

@@ -1,8 +1,8 @@
-"""Share of the target's outline that a frame shows: where the target is seen to end.
+"""Share of the target's outline that a frame shows: where the measured surface ends with the target.
 
-Separation by a pose makes everything beside the rendered target dark. On a plane that goes on there, such as
-a wall or a plate, the outline of any pose then seems to be in its place. Only where the measured surface ends
-is the outline evidence. The outline outside of the field of view and behind other things is unknown too.
+Separation at a pose makes everything beside the rendered target dark. On a plane that continues there, such
+as a wall or a plate, the outline of any pose then seems to be in its place. The outline is evidence only
+where the measured surface ends. It is unknown outside the field of view and behind other things.
 """
 
 import cv2
@@ -17,7 +17,7 @@ from rpod_schemas.types import Camera
 from rpod_target import Target
 
 _SIDE = 64
-"""Rows and columns of the image in which the whole outline is seen. Numerics: a budget; a share of the
+"""Number of rows and columns of the image that shows the whole outline. Numerics: a budget; a share of the
 outline is then known to about 1 %."""
 _SMOOTH = 2.0
 """Standard deviation, rays, of the smoothing that gives the outline's direction. Numerics: the steps of a
@@ -27,13 +27,13 @@ rasterised line are one ray wide."""
 def seen_outline(
     image: RangeImage, target: Target, T_sensor_target: RigidTransform, margin_m: float
 ) -> float:
-    """Return the share of the target's whole outline at which a frame shows that the target ends.
+    """Return the share of the target's whole outline at which the measured surface ends.
 
     Args:
         image: ranges of a frame.
         target: the target.
         T_sensor_target: its pose.
-        margin_m: difference of ranges from which on surfaces are separate.
+        margin_m: least difference of ranges between separate surfaces.
     """
     hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=target.field is not None)
     met = hits.triangle >= 0

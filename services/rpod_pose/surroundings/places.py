@@ -1,6 +1,6 @@
 """Places in a frame at which the target may be: surfaces of its size that stand apart from larger things.
 
-Planes that are larger than the target, such as walls, floors and tables, are no part of it.
+Planes that are larger than the target, such as walls, floors and tables, are left out.
 """
 
 from collections.abc import Iterator
@@ -17,42 +17,42 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 LARGER = 2.5
-"""Least extent of a plane that is no face of the target, over its radius. Physics: its faces are at most
-2."""
+"""Least extent of a plane that is no face of the target, over its radius. Physics: the extent of its faces is
+at most 2."""
 FLAT = 0.1
-"""Greatest distance of a point from its plane, over the target's radius. Hand: noise and bias of the ranges
+"""Largest distance of a point from its plane, over the target's radius. Hand: noise and bias of the ranges
 are smaller, the target's depth is larger."""
 PLANES, DRAWS, LEAST_PLANE = 8, 80, 0.03
-"""Most planes, random draws for each, and least share of the ranges that one must explain. Numerics: a room
-has six; 80 draws find a plane with a third of the ranges with 95 %. Hand: the share."""
+"""Largest number of planes, number of random draws for each, and least share of the ranges on a plane.
+Numerics: a room has six planes; 80 draws find a plane with a third of the ranges with a probability of 95 %.
+Hand: the share."""
 APART = 0.15
-"""Step in range between neighbouring rays, over the target's radius, from which surfaces are separate. Hand:
-below the depth of a body, above the noise of ranges."""
+"""Least step in range between neighbouring rays on separate surfaces, over the target's radius. Hand: below
+the depth of a body, above the noise of ranges."""
 SLANTED = 4.0
-"""Step in range between neighbouring rays, over their distance across, up to which a surface is one. Hand: a
-face at 76 deg is still one surface."""
+"""Largest step in range between neighbouring rays on one surface, over their distance across. Hand: a face at
+76 deg is still one surface."""
 LEAST_SIZE, MOST_PLACES = 0.15, 6
-"""Least half extent of a surface that may be the target, over its radius; most places to search. Hand:
-smaller ones are noise or remote. Numerics: the number is a budget."""
+"""Least half extent of a surface that may be the target, over its radius; largest number of places to search.
+Hand: smaller surfaces are noise or remote. Numerics: the number is a budget."""
 THIN = 0.2
-"""Half the width of limbs that are cut off a surface that is larger than the target, over its radius. Hand:
-an arm is thinner, a body thicker."""
+"""Half the width of limbs that are removed from a surface larger than the target, over its radius. Hand: an
+arm is thinner, a body thicker."""
 SHIFTS = 3
-"""Number of times that a ball is moved to the median of the points in it. Numerics: a budget of
-computation."""
+"""Number of times that a ball moves to the median of the points in it. Numerics: a budget of computation."""
 LEAST_RAYS = 8
-"""Least number of rays on such a surface. Hand: fewer determine no pose."""
+"""Least number of rays on a surface that may be the target. Hand: fewer determine no pose."""
 
 
 def places(
     image: RangeImage, radius_m: float, near_m: FloatArray | None = None
 ) -> Iterator[NDArray[np.bool_]]:
-    """Yield the rays on surfaces that may be the target, those of most rays first, (rows, columns) each.
+    """Yield the rays on each surface that may be the target, most rays first, shape (rows, columns).
 
     Args:
         image: ranges of a frame.
         radius_m: radius of the target's bounding sphere.
-        near_m: where the target is expected, sensor axes, shape (3,); None for anywhere.
+        near_m: expected position of the target, sensor axes, shape (3,); None if it is unknown.
     """
     points_m = image.points_m
     free = (image.range_m > 0.0) & ~_large_planes(image, points_m, radius_m)
@@ -75,10 +75,10 @@ def places(
 def _candidates(
     image: RangeImage, points_m: FloatArray, surfaces: list[NDArray[np.bool_]], radius_m: float
 ) -> list[NDArray[np.bool_]]:
-    """Return the places on surfaces, those on the surfaces of most rays first.
+    """Return the places on surfaces, those on the surfaces with most rays first.
 
-    A thin target that an arm prolongs has no bulky part. So parts of thin surfaces that the image's border
-    cuts come last.
+    If a thin target continues in an arm, it has no thick part. Therefore parts of thin surfaces that the
+    image's border cuts are candidates too, but come last.
     """
     found, thin = list[tuple[int, NDArray[np.bool_]]](), list[NDArray[np.bool_]]()
     for surface in surfaces:
@@ -100,9 +100,9 @@ def _candidates(
 def _with_others(
     points_m: FloatArray, free: NDArray[np.bool_], place: NDArray[np.bool_], radius_m: float
 ) -> NDArray[np.bool_] | None:
-    """Return a place with all that may be the same target: a body with gaps is seen as several surfaces.
+    """Return a place with other surfaces that may belong to the same target, since a body may have gaps.
 
-    None if nothing else is as near as that, or if the place itself reaches beyond the given rays.
+    None if no other surface is near enough, or if the place itself extends beyond the given rays.
 
     Args:
         points_m: measured points, sensor axes, shape (rows, columns, 3).
@@ -138,8 +138,8 @@ def _large_planes(image: RangeImage, points_m: FloatArray, radius_m: float) -> N
 def _walls(image: RangeImage, on_plane: NDArray[np.bool_], radius_m: float) -> Iterator[NDArray[np.bool_]]:
     """Yield the rays on a plane that belong to surfaces larger than the target.
 
-    The plane of one of the target's faces also meets walls, the floor and other things, in narrow strips. So
-    the size of each surface on it counts. Where the largest one is a wall, what is left of the plane are
+    The plane of one of the target's faces also meets walls, the floor and other things, in narrow strips.
+    Therefore the size of each surface on the plane is tested. If the largest one is a wall, the others are
     pieces of this wall between other things.
     """
     pieces = sorted(surfaces(image, on_plane, radius_m), key=np.count_nonzero, reverse=True)
@@ -181,7 +181,7 @@ def _surfaces_within_image(
 ) -> NDArray[np.bool_]:
     """Return the rays on surfaces that do not reach the image's border, shape (rows, columns).
 
-    A ray alone is no surface: its range is stray. Arguments are as for ``_surfaces``.
+    A single ray is no surface: its range is stray. Arguments are as for ``_surfaces``.
     """
     cut = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1]])
     inside: NDArray[np.bool_] = free & (sizes[number] > 1) & ~np.isin(number, cut)
@@ -210,10 +210,10 @@ def _labelled_surfaces(
 def _of_size(
     image: RangeImage, points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float
 ) -> Iterator[NDArray[np.bool_]]:
-    """Yield a surface if it may be the target, and the bulky parts of one that may be larger.
+    """Yield a surface if it may be the target, and the thick parts of one that may be larger.
 
-    A surface that the image's border cuts may be larger: an arm that holds the target reaches into the image
-    from outside. Bulky parts are what is left without thin limbs.
+    A surface that the image's border cuts may be larger: for example, an arm that holds the target extends
+    into the image from outside. The thick parts are those that remain after thin limbs are removed.
     """
     whole = _fits(points_m[surface], radius_m)
     if whole and not at_border(surface):
@@ -245,13 +245,13 @@ def spans_view(surface: NDArray[np.bool_]) -> bool:
 
 
 def _fits(points_m: FloatArray, radius_m: float) -> bool:
-    """Return whether points, shape (N, 3), extend as far as those of a visible target may."""
+    """Return whether the extent of points, shape (N, 3), is possible for a visible target."""
     extent_m = np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)
     return bool(LEAST_SIZE * radius_m <= extent_m.max() and np.quantile(extent_m, 0.98) <= BALL * radius_m)
 
 
 def _parts(points_m: FloatArray, surface: NDArray[np.bool_], radius_m: float) -> Iterator[NDArray[np.bool_]]:
-    """Yield balls of the target's size on a larger surface, the nearest ones first."""
+    """Yield the rays in balls of the target's size on a larger surface, the nearest balls first."""
     left = surface.copy()
     for _ in range(MOST_PLACES):
         mine_m = points_m[left]
@@ -303,7 +303,7 @@ def around_place(
 def _bounds(
     range_m: Float32Array, place: NDArray[np.bool_], margin_m: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the least and greatest range of a place on each ray and those around it; inf and 0 elsewhere."""
+    """Return the least and largest range of a place on each ray and its neighbours; inf and 0 elsewhere."""
     around = np.ones((3, 3), np.uint8)
     nearest_m: Float32Array = cv2.erode(  # type: ignore[assignment]
         np.where(place, range_m, np.float32(np.inf)), around, borderValue=np.inf

@@ -1,8 +1,8 @@
 """Separation of a frame into the target's part and other things: by ranges alone, for any sensor.
 
 Without a pose, each surface of the target's size is a place to search (``places``). With a pose, the target
-is rendered. A ray that ends before the rendered surface meets something that hides the target, and tells
-nothing of it. A ray that ends beyond it has passed the target.
+is rendered. A ray that ends in front of the rendered surface meets a thing that hides the target, and gives
+no information on the target. A ray that ends beyond the surface has passed the target.
 """
 
 from dataclasses import dataclass, replace
@@ -25,14 +25,14 @@ BALL = 1.6
 """Radius, in radii of the target, around the median of its visible points that contains all of them. Hand: no
 point is farther from the origin than one radius, and the median is one of a convex hull's inner points."""
 ELSEWHERE_SHARE, ELSEWHERE = 0.02, 5
-"""Share and number of a frame's ranges outside this ball up to which they are taken for errors. Hand: stray
-and mixed pixels are fewer, another body has more."""
+"""Largest share and number of a frame's ranges outside this ball that count as errors. Hand: stray and mixed
+pixels are fewer, another body has more."""
 BESIDE = 0.1
-"""Distance outside the target's outline at which its surface should not go on, over its radius. Hand: past
-the mixed pixels of the outline."""
+"""Distance outside the target's outline at which its surface should not continue, over its radius. Hand:
+beyond the mixed pixels of the outline."""
 AROUND = 1.2
-"""Radius, in radii of the target, within which a thing that extends beyond the target's reach is seen. Hand:
-what only touches the reach, with the noise of its ranges, is not counted."""
+"""Radius, in radii of the target, beyond which a thing certainly extends out of the target's reach. Hand: a
+thing that only touches the reach, with the noise of its ranges, is not counted."""
 SIGMAS = 4.0
 """Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
 errors is larger."""
@@ -49,26 +49,26 @@ class Label(IntEnum):
     KEPT = 0
     """The target, or nothing: the ray stays as it is."""
     HIDING = 1
-    """Something before the target: the ray tells nothing of it."""
+    """Something in front of the target: the ray gives no information on the target."""
     BEYOND = 2
-    """Something beside or behind the target: the ray does not meet it."""
+    """Something beside or behind the target: the ray does not meet the target."""
 
 
 class Every(NamedTuple):
-    """Rays of a sensor that an image has: every few of them, in rows and in columns."""
+    """Rays of a sensor in an image: every ``stride``-th one in rows and in columns."""
 
     stride: int = 1
     offset: int = 0
     """Row and column of the first ray."""
 
     def nearest(self, other: "Every", count: int, most: int) -> NDArray[np.intp]:
-        """Return the numbers of the nearest of these rays to ``count`` others, at most ``most``, (count,)."""
+        """Return the index of the ray nearest to each of ``count`` others, below ``most``, shape (count,)."""
         places = other.offset + other.stride * np.arange(count) - self.offset + self.stride // 2
         return np.clip(places // self.stride, 0, most).astype(np.intp)
 
 
 EACH = Every()
-"""All rays. Numerics: one from each to the next."""
+"""All rays of a sensor. Numerics: the stride is 1."""
 
 
 class Spans(NamedTuple):
@@ -95,15 +95,15 @@ class RangeImage:
     range_m: Float32Array
     """Range of each ray, shape (rows, columns), 0 without one."""
     hidden: NDArray[np.bool_] | None = None
-    """Rays that tell nothing of the target, because a known body is there, same shape; None if no body is
-    known."""
+    """Rays that give no information on the target, because a known body is there, same shape; None if no body
+    is known."""
     sigma_m: Float32Array | None = None
     """Standard deviation of each range's noise, same shape; None if it is not known."""
     every: Every = EACH
     """Which rays of the sensor these are."""
 
     def corrected(self, bias_m: float) -> "RangeImage":
-        """Return the image without an error that all ranges share; a ray without a range stays without."""
+        """Return the image without an error that all ranges share, m; rays without a range keep 0."""
         if bias_m == 0.0:
             return self
         shorter_m = np.maximum(self.range_m - np.float32(bias_m), np.float32(0.0))
@@ -124,7 +124,7 @@ class RangeImage:
         return float(down), float(across)
 
     def rays_across(self, length_m: float, distance_m: float) -> Spans:
-        """Return how many rays a length across the line of sight spans, at least 1 and at most all."""
+        """Return the number of rays that a length across the line of sight spans, from 1 to all."""
         spans = (
             int(np.clip(np.ceil(length_m / max(distance_m * spacing, 1e-9)), 1, most))
             for spacing, most in zip(self._spacing_rad, self.range_m.shape, strict=True)
@@ -146,7 +146,7 @@ class RangeImage:
         return np.count_nonzero(inside) / max(len(points_m), 1)
 
     def shows_more_than(self, radius_m: float) -> bool:
-        """Return whether the frame shows more than a target of a radius, m, would fill."""
+        """Return whether the frame shows surfaces of a larger extent than a target of a radius, m."""
         points_m = self.points_m[self.range_m > 0.0]
         if not len(points_m):
             return False
@@ -154,21 +154,21 @@ class RangeImage:
         return bool(np.count_nonzero(away) > max(ELSEWHERE_SHARE * len(points_m), ELSEWHERE))
 
     def rays_beyond(self, reach_m: float, T_sensor_target: RigidTransform) -> int:
-        """Return the greatest number of connected rays that end beyond a reach around a target's origin."""
+        """Return the largest number of connected rays that end farther than ``reach_m`` from the origin."""
         away_m = np.linalg.norm(self.points_m - T_sensor_target.translation, axis=-1)
         _, number = _patches((self.range_m > 0.0) & (away_m > reach_m))
         return int(np.bincount(number)[1:].max(initial=0))
 
 
 def with_bodies(labels: NDArray[np.uint8], image: RangeImage) -> NDArray[np.uint8]:
-    """Return the labels with those of the rays on known bodies."""
+    """Return the labels, in which rays on known bodies are ``Label.HIDING``."""
     return labels if image.hidden is None else np.where(image.hidden, np.uint8(Label.HIDING), labels)
 
 
 def upsampled(
     image: NDArray[Any], every: Every, shape: tuple[int, int], others: Every = EACH
 ) -> NDArray[Any]:
-    """Return an image of some rays on others: each takes the value of the nearest.
+    """Return the values of an image on other rays: each ray gets the value of the nearest one.
 
     Args:
         image: values, shape (rows, columns).
@@ -187,28 +187,29 @@ class Sight:
     labels: NDArray[np.uint8]
     """``Label`` of each ray, shape (rows, columns)."""
     inside: NDArray[np.bool_]
-    """Rays that meet the target, and so do all around them."""
+    """Rays that meet the target, like all rays around them."""
     visible_share: float
     """Share of the rays on the target that nothing hides."""
     measured: int
     """Number of rays on the target that nothing hides and that have a range."""
     measured_share: float
-    """Number of these rays over that of all rays with a range."""
+    """``measured`` divided by the number of all rays with a range."""
     unexplained: int
-    """Greatest number of connected rays that end within the target's reach and not on it, of a thing that is
-    seen to end within this reach: a detail of the target itself. A thing at the image's border may go on."""
+    """Largest number of connected rays that end within the target's reach but not on its surface, on a thing
+    that ends within this reach and so would be a detail of the target. Things at the image's border are not
+    counted, since they may continue."""
     passed: int
-    """Greatest number of connected rays inside the target's outline that end beyond all of its surface."""
+    """Largest number of connected rays within the target's outline that end beyond its whole surface."""
     continued_share: float
-    """Share of the rays beside its outline at which the surface inside goes on outside."""
+    """Share of the rays beside its outline at which the target's surface continues outside."""
 
 
 def _beside(
     image: RangeImage, met: NDArray[np.bool_], rendered_m: Float32Array, radius_m: float
 ) -> tuple[NDArray[np.bool_], Float32Array]:
-    """Return the rays a little outside the target's outline, and the range at which its surface would go on.
+    """Return the rays a little outside the target's outline, and the ranges of the continued surface there.
 
-    Ranges next to an outline are not used: a stereo camera widens what is near.
+    Ranges next to an outline are not used: a stereo camera widens near objects.
     """
     distance_m = float(np.median(rendered_m[met])) if met.any() else 1.0
     width = image.rays_across(BESIDE * radius_m, distance_m)
@@ -254,7 +255,7 @@ def _widened(rays: NDArray[np.bool_], shape: NDArray[np.uint8]) -> NDArray[np.bo
 
 
 def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
-    """Return the number of rays in a part over that in the whole; 0 for none."""
+    """Return the number of rays in a part divided by that in the whole; 0 if the whole is empty."""
     return float(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
 
 
@@ -265,10 +266,10 @@ def _going_on(
     reach: Spans,
     margin_m: float,
 ) -> NDArray[np.bool_]:
-    """Return the rays just outside the target's reach at which a surface goes on at its range.
+    """Return the rays just outside the target's reach at which a surface continues at the target's range.
 
-    The target ends within its reach, so such a surface is another thing's, which touches the target or passes
-    it: an arm, a table.
+    The target ends within its reach. So such a surface belongs to another thing, for example an arm or a
+    table, which touches the target or passes it.
 
     Args:
         image: ranges of a frame.
@@ -298,7 +299,7 @@ class Margin(NamedTuple):
 def with_target_at(
     image: RangeImage, target: Target, T_sensor_target: RigidTransform, margin: Margin
 ) -> Sight:
-    """Return what a pose says of each ray, if it is wrong by up to a margin."""
+    """Return the class of each ray at a pose that may be wrong by up to a margin."""
     margin_m: FloatArray | float = margin.range_m
     if image.sigma_m is not None:
         margin_m = np.maximum(margin_m, SIGMAS * image.sigma_m)

@@ -9,52 +9,54 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.ports import ComparingTracker, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.separation import SIGMAS, Margin, RangeImage, Sight, with_target_at
-from rpod_pose.unwanted import step
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Source
 from rpod_target import Target
 
 MARGINS = 0.2, 0.06, 0.015
-"""Errors of a predicted pose, of the pose found from it, and of the one found from that, over the target's
-radius. The last is needed only where other things touch the target. Hand: wider ones keep more of what
-touches the target, narrower ones cut off some of the target."""
+"""Largest errors of a predicted pose, of the pose found from it, and of the pose found from the second one,
+over the target's radius. The third is needed only if other things touch the target. Hand: wider ones keep
+more of the things that touch the target, narrower ones remove parts of the target."""
 NARROW = 0.06
 """Least margin of ranges, over the target's radius. Hand: the second of ``MARGINS``."""
 BIAS_SIGMAS = 2.0
-"""Error that all ranges of a frame share, in standard deviations, up to which a surface may be the target's
-before a pose tells this error. Physics: one in 22 normal errors is larger."""
+"""Largest tolerated error that all ranges of a frame share, in standard deviations, while no pose determines
+this error. Physics: one in 22 normal errors is larger."""
 RIVAL = 0.5
-"""Least number of rays on one of two surfaces for it to count beside the other one, over the number on that
-one. Hand: a smaller surface is a part of the same object."""
+"""Least number of rays on the smaller of two surfaces that both count, over the number on the larger one.
+Hand: a smaller surface is a part of the same object."""
 LEAST_VISIBLE = 0.2
-"""Least share of the target that other things must leave visible. Hand: a track can go on with little;
+"""Least share of the target that must be visible in a track. Hand: a track can continue with little;
 ``LEAST_VISIBLE_FIRST`` is the limit for its beginning."""
 MOST_CONTINUED = 0.5
-"""Greatest share of the outline across which the surface goes on. Hand: more is a part of a larger thing."""
+"""Largest share of the outline across which the surface continues. Hand: with more, the pose is on a part of
+a larger thing."""
 DETAIL, LEAST_DETAIL = 0.06, 6
-"""Size of a detail that must be explained, over the target's radius, and its least number of rays. Hand: a
-smaller detail would be found in noise (decision 57)."""
+"""Size of a detail that must be explained, over the target's radius, and its least number of rays. Hand:
+smaller details would be found in noise (decision 57)."""
 MARGIN = "separation_margin"
-"""Name of the evidence that says with which of the margins a pose was found."""
+"""Name of the evidence with the margin at which a pose was found."""
 VISIBLE = "visible_share"
-"""Name of the evidence that a pose was verified in a whole frame."""
+"""Name of the evidence with the visible share of the target; its presence shows that a pose was verified in a
+whole frame."""
 MEASURED = "measured_share"
-"""Name of the evidence that says how many of the frame's ranges are the target's."""
+"""Name of the evidence with the share of the frame's ranges that are on the target."""
 
 
 class TrackerAmongThings(Generic[FrameT]):
-    """Tracks in the part of a frame that fits a pose: first the predicted pose, then the one that is found.
+    """Tracks in the part of a frame that fits a pose: first the predicted pose, then the measured one.
 
     Args:
         tracker: tracker of frames that show the target alone.
         frames: frames of the sensor kind.
         target: the target to track.
-        touching: whether a thing may touch the target in a frame that shows little more than it would fill.
-            Where such a frame contradicts the pose of the target alone, and shows something beyond its reach,
-            one among other things is tried. A search does so itself, once for all its poses.
+        touching: whether a thing may touch the target in a frame that shows little more than the target. If
+            such a frame contradicts the pose and shows something beyond the target's reach, it is treated as
+            one that shows other things. A search does this itself, once for all its poses.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class TrackerAmongThings(Generic[FrameT]):
         self._touching = touching
 
     def cluttered(self, frame: FrameT) -> RangeImage | None:
-        """Return the ranges of few rays of a frame that shows more than the target; None for any other."""
+        """Return the ranges of few rays if a frame shows more than the target; otherwise None."""
         image = self.frames.image(frame, fine=False)
         if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
             return None
@@ -91,10 +93,10 @@ class TrackerAmongThings(Generic[FrameT]):
         return among if among.continues_track and self.is_touched(measurement, among) else alone
 
     def is_touched(self, measurement: FrameT, found: Registration) -> bool:
-        """Return whether a frame shows another thing beside a found pose: beyond the target's reach.
+        """Return whether a frame shows another thing beyond the target's reach at a measured pose.
 
-        The pose must explain more than a small part of what the frame shows. With less, the target itself
-        would be the other thing, and the pose is in a hole of it or on one of its details.
+        The pose must explain more than a small part of the frame. Otherwise the other thing would be the
+        target itself, and the pose would be in a hole of it or on one of its details.
         """
         image, pose = self.frames.image(measurement, fine=True), found.T_sensor_target
         measured = found.belief.evidence.get(MEASURED, 0.0)
@@ -103,10 +105,11 @@ class TrackerAmongThings(Generic[FrameT]):
         return image.rays_beyond((1.0 + NARROW) * self.target.radius_m, pose) >= LEAST_DETAIL
 
     def excluded(self, measurement: FrameT, T_sensor_target: RigidTransform) -> str:
-        """Return why no pose near one that a search found can be the target's; empty if one may be.
+        """Return why no pose near one of a search can be that of the target; empty if one can be.
 
-        Only a part of a frame that keeps the whole one is asked. What the whole frame shows at the widest
-        margin contradicts every pose within this margin, and takes much less time than an alignment.
+        This is checked only in a part of a frame that contains the whole one. A contradiction in the whole
+        frame at the widest margin holds for every pose within this margin. The check takes much less time
+        than an alignment.
         """
         whole = self.frames.whole_of(measurement)
         image = None if whole is None else self.frames.image(whole, fine=True)
@@ -124,22 +127,22 @@ class TrackerAmongThings(Generic[FrameT]):
         return self._tracker.log_likelihoods(measurement, found, ranked_only=ranked_only)
 
     def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
-        """Return what a found pose leaves of a frame, at the widest margin."""
+        """Return the classes of a frame's rays at a measured pose, with the widest margin."""
         assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
         return self._sight(MARGINS[0], image, found, found.T_sensor_target)
 
     def near_target_at(self, image: RangeImage, found: Registration) -> Sight:
-        """Return what a found pose says of each ray of a frame, at the narrow margin."""
+        """Return the classes of a frame's rays at a measured pose, with the narrow margin."""
         assert found.T_sensor_target is not None  # noqa: S101 - the caller's condition
         return self._sight(NARROW, image, found, found.T_sensor_target)
 
     def _most_unexplained(self, image: RangeImage, T_sensor_target: RigidTransform) -> int:
-        """Return the greatest number of connected rays that may remain unexplained."""
+        """Return the largest number of connected rays that may remain unexplained."""
         distance_m = float(np.linalg.norm(T_sensor_target.translation))
         return max(LEAST_DETAIL, prod(image.rays_across(DETAIL * self.target.radius_m, distance_m)))
 
     def again(self, measurement: FrameT, found: Registration) -> Registration:
-        """Return a registration of the same frame from its own pose, with the margin that it was found at."""
+        """Return the frame's registration, started from an earlier one's pose and with its margin."""
         pose, whole = found.T_sensor_target, self.frames.whole_of(measurement)
         if pose is None or whole is None:
             return found if pose is None else self.track(measurement, pose)
@@ -156,16 +159,16 @@ class TrackerAmongThings(Generic[FrameT]):
     ) -> Registration:
         """Return the registration in a frame that shows more than the target.
 
-        What the frame shows at a narrow margin may contradict every pose within it; this takes much less time
-        than an alignment.
+        First the frame is checked at each margin: a contradiction holds for every pose within the margin, and
+        the check takes much less time than an alignment.
 
         Args:
             measurement: the whole frame.
             T_sensor_target: predicted pose.
             margins: errors of the pose that are tried in turn, over the target's radius.
-            before: registration that gave the pose, if the same frame did.
+            before: registration of the same frame that gave the pose; None if there is none.
         """
-        step()
+        stop_if_cancelled()
         image = self.frames.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
         found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
@@ -184,11 +187,11 @@ class TrackerAmongThings(Generic[FrameT]):
         return _checked(replace(found, belief=belief), sight, most_unexplained)
 
     def _tracked_in(self, sight: Sight, measurement: FrameT, pose: RigidTransform) -> Registration:
-        """Return the registration from a pose, T_sensor_target, in what a sight leaves of a whole frame."""
+        """Return the registration from a pose, T_sensor_target, in the rays that a sight keeps of a frame."""
         return self._tracker.track(self.frames.separated(measurement, sight.labels, sight.inside), pose)
 
     def _sight(self, share: float, image: RangeImage, found: Registration, pose: RigidTransform) -> Sight:
-        """Return what a pose says of each ray of a frame.
+        """Return the classes of a frame's rays at a pose.
 
         Args:
             share: error of the pose, over the target's radius.
@@ -200,7 +203,7 @@ class TrackerAmongThings(Generic[FrameT]):
         return with_target_at(corrected, self.target, pose, self._margin(found, share))
 
     def _margin(self, found: Registration, share: float) -> Margin:
-        """Return the margin around a pose, given as a share of the target's radius."""
+        """Return the margin of a pose from a share of the target's radius."""
         radius_m = self.target.radius_m
         known = np.isfinite(found.cost_m2)
         spread_m = SIGMAS * np.sqrt(found.cost_m2) if known else BIAS_SIGMAS * self.frames.range_bias_m
@@ -208,21 +211,21 @@ class TrackerAmongThings(Generic[FrameT]):
 
 
 def _unlike(sight: Sight, most_unexplained: int) -> str:
-    """Return why a sight is not that of the target; empty if it may be."""
+    """Return why the rays cannot show the target at the pose; empty if they can."""
     if sight.visible_share < LEAST_VISIBLE:
         hidden = 1.0 - sight.visible_share
-        return f"other things hide {hidden:.0%} of the target, {1.0 - LEAST_VISIBLE:.0%} at most"
+        return f"other things hide {hidden:.0%} of the target, limit {1.0 - LEAST_VISIBLE:.0%}"
     if sight.measured < most_unexplained:
         return f"the ranges do not show the target: {sight.measured} are on it, {most_unexplained} needed"
     if sight.unexplained > most_unexplained:
-        return f"a detail is not explained: {sight.unexplained} rays, {most_unexplained} at most"
+        return f"a detail is not explained: {sight.unexplained} connected rays, limit {most_unexplained}"
     if sight.passed > most_unexplained:
-        return f"rays pass through the target: {sight.passed} side by side, {most_unexplained} at most"
+        return f"rays pass through the target: {sight.passed} connected rays, limit {most_unexplained}"
     return ""
 
 
 def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Registration:
-    """Return a registration, which is contradicted where too little of it is the target's own surface."""
+    """Return a registration that is contradicted if the frame cannot show the target at its pose."""
     evidence = {
         **found.belief.evidence,
         VISIBLE: sight.visible_share,
@@ -231,8 +234,8 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
     }
     reason = _unlike(sight, most_unexplained)
     if not reason and sight.continued_share > MOST_CONTINUED:
-        share = f"{sight.continued_share:.0%} of the target's outline, {MOST_CONTINUED:.0%} at most"
-        reason = f"the pose is a part of a larger thing: its surface goes on across {share}"
+        share = f"{sight.continued_share:.0%} of the target's outline, limit {MOST_CONTINUED:.0%}"
+        reason = f"the pose is on a part of a larger thing: its surface continues across {share}"
     if reason and found.continues_track:
         return replace(found, belief=contradicted(reason, **evidence))
     return replace(found, belief=replace(found.belief, evidence=evidence))

@@ -93,7 +93,7 @@ class Content(Injection):
 
 
 class Dropout(Content):
-    """Depth or returns of some patches; of 60 % of them by default."""
+    """Loss of the depth or returns of some patches; of 60 % of them by default."""
 
     fault = "dropout"
 
@@ -108,14 +108,14 @@ class Dropout(Content):
 
 
 class Glints(Dropout):
-    """Depth and amplitude of some patches; of 40 % of them by default."""
+    """Loss of the depth and amplitude of some patches; of 40 % of them by default."""
 
     fault = "glints"
     changes = ("depth", "points", "image", "amplitude")
 
 
 class Blackout(Glints):
-    """All depth, amplitude and returns."""
+    """Loss of all depth, amplitude and returns."""
 
     fault = "blackout"
 
@@ -126,7 +126,7 @@ class Blackout(Glints):
 
 
 class Partial(Content):
-    """The last rows, or the last part of the scan, of one frame in three; 40 % by default."""
+    """Loss of the last rows, or of the last part of the scan, of one frame in three; 40 % by default."""
 
     fault = "partial"
     changes = ("depth", "points", "image", "amplitude")
@@ -146,7 +146,7 @@ class Partial(Content):
 
 
 class Frozen(Injection):
-    """The first content of each topic, under new stamps."""
+    """Repetition of the first content of each topic, under new stamps."""
 
     fault = "frozen"
 

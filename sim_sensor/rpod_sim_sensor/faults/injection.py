@@ -85,7 +85,7 @@ class Injection:
 
 
 def injection(name: str, kind: str, seed: int, *, sensor: str = "", size: float | None = None) -> Injection:
-    """Return the injection of a fault into a sensor, with a random stream of its own.
+    """Return the injection of a fault into a sensor, with its own random stream.
 
     Args:
         name: name of the fault.

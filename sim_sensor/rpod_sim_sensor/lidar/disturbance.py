@@ -7,7 +7,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_sim_sensor.worlds import LidarWorld
 
 _APART_M = 0.1
-"""Greatest distance of two surfaces that give one common echo."""
+"""Largest distance of two surfaces that give one common echo."""
 _STEEPEST = 0.05
 """Least cosine of incidence in the spread of a beam on a plane."""
 _FALSE_SPREAD = 0.5, 1.5

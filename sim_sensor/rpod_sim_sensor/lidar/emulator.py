@@ -72,7 +72,7 @@ class LidarEmulator:
         self._time_s = config.ray_times_s().astype(np.float32)
 
     def show(self, target: Target) -> None:
-        """Show another target from now on, such as the same one at another angle of its joints."""
+        """Replace the target from now on, for example by the same one at other angles of its joints."""
         self._seen = scenery(self._world.target(target), self._surroundings, self._config.T_chaser_sensor)
         self._reflectivity = _reflectivity(self._config, self._seen)
 
@@ -155,7 +155,7 @@ def _grids(config: LidarConfig, aside_rad: float) -> tuple[RayGrid, list[RayGrid
 
 
 def _reflectivity(config: LidarConfig, seen: Scenery) -> FloatArray:
-    """Return rho_T of each triangle, of what moves and then of what stands still, shape (T + S,)."""
+    """Return rho_T of each triangle, first of the moving and then of the fixed things, shape (T + S,)."""
     material = np.concatenate((seen.moving.triangle_material, seen.still_material))
     if config.detection.reflectivity == "mean":
         return np.full(len(material), config.detection.mean_reflectivity)

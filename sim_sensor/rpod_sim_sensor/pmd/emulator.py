@@ -27,7 +27,7 @@ from rpod_sim_sensor.worlds import DOCUMENTED, World
 from rpod_target import Target
 
 _POOL = 1 << 20
-"""Number of normal numbers in the pool from which frames take their noise, each row from its own place."""
+"""Number of normal random numbers in the pool from which frames take their noise, each row from its place."""
 _POOL_KEY = 1 << 63
 """Number in the key of the pool in place of a frame's number; frame numbers are smaller."""
 
@@ -108,7 +108,7 @@ class PmdEmulator:
         self._pool = _pool(noise_stream(seed, config.name, _POOL_KEY), world)
 
     def show(self, target: Target) -> None:
-        """Show another target from now on, such as the same one at another angle of its joints."""
+        """Replace the target from now on, for example by the same one at other angles of its joints."""
         self._seen = scenery(self._world.target(target), self._surroundings, self._config.T_chaser_sensor)
         self._scene = Scene(self._seen, self._config.sub_exposures)
 

@@ -1,10 +1,10 @@
 """Light that reaches each pixel in each sub-exposure.
 
-A pixel sums its rays, so pixels at edges are mixed without further computation. If all rays of a pixel hit
-the same triangle, one ray through the pixel's centre replaces them. The triangle that a ray hits is that of
-the middle of the exposure; its distance is computed for each sub-exposure, from the triangle's plane at the
-pose of that time. In 25 ms an outline moves by a fraction of a pixel, but ranges change by millimetres, from
-sample to sample.
+A pixel sums the light of its rays, so that pixels at edges are mixed without further computation. If all rays
+of a pixel hit the same triangle, one ray through the pixel's centre replaces them. Which triangle a ray hits
+is determined for the middle of the exposure. The distance is computed for each sub-exposure, from the
+triangle's plane at the pose of that time: in 25 ms an outline moves by a fraction of a pixel, but ranges
+change by millimetres from sample to sample.
 """
 
 import math
@@ -59,7 +59,7 @@ class Fragments(NamedTuple):
     weight: FloatArray
     """Share of the pixel's rays that hit the triangle."""
     inverse: FloatArray
-    """One over the distance, 1/m."""
+    """Inverse of the distance, 1/m."""
     normal: FloatArray
     """Normal away from the camera, optical axes, shape (3, F)."""
     material: FloatArray

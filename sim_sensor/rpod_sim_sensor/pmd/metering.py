@@ -1,7 +1,7 @@
 """Metering of a frame's light: its mean, and the exposure time.
 
-The exposure depends only on the light of the same frame, before any noise. So a frame does not depend on the
-order in which frames are made, nor on frames that are left out.
+The exposure time depends only on the light of the same frame, before any noise. So a frame depends neither on
+the order in which frames are emulated, nor on frames that are left out.
 """
 
 import numpy as np

@@ -21,7 +21,7 @@ from rpod_target.visibility import Sky
 
 _MOST_NODES = 30_000_000
 _USUAL_NODES = 4_000_000
-"""Greatest number of nodes of a grid whose spacing is not given."""
+"""Largest number of nodes of a grid whose spacing is not given."""
 _SPACING, _MARGIN = 0.01, 0.15
 """Spacing and margin of a grid for which they are not given, over the target's longest side."""
 

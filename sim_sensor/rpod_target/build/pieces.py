@@ -62,7 +62,7 @@ class Piece:
     loose: NDArray[np.bool_]
     """Whether each triangle belongs to a surface that is not closed, shape (T,)."""
     patch: Indices
-    """Number of the patch of each triangle, shape (T,): within one, all triangles face alike."""
+    """Number of the patch of each triangle, shape (T,): within one, all triangles face the same side."""
     told: tuple[str, ...] = ()
     """Description of the repair."""
 
@@ -191,7 +191,7 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
     told = list(mesh.told)
     if fewer is not None:
         told.insert(
-            0, f"{fewer[0]} triangles stand for {fewer[1]}, at most {1e3 * scale * fewer[2]:.2g} mm off"
+            0, f"{fewer[1]} triangles were reduced to {fewer[0]}, at most {1e3 * scale * fewer[2]:.2g} mm off"
         )
     return _piece(
         replace(mesh, triangles=_placed(first, scale * mesh.triangles)),

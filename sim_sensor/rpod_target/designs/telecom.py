@@ -170,7 +170,7 @@ def _wings(d: Telecom) -> list[Component]:
     drive = bar((0.0, root - 0.12, 0.0), (0.0, root + 0.2, 0.0), 0.13, 20)
     turn = Rotation.from_euler("y", 90.0 - d.wing_angle_deg, degrees=True)
     found = []
-    # a half turn about the x axis of the satellite gives the other wing; its cells must face alike
+    # a half turn about the x axis of the satellite gives the other wing; its cells must face the same way
     for name, wing in (
         ("north", turn),
         ("south", Rotation.from_euler("z", 180.0, degrees=True) * turn.inv()),

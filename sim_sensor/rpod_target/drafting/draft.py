@@ -95,7 +95,7 @@ def draft(
         out.write_text(sections.text(()), encoding="utf-8")
         say(f"building the target of {len(mesh.triangles):,} triangles: edges, model points, distance field")
         target = load_target(out, cache=cache, read={sections.file: mesh})
-        say("looking for symmetries, and for those that a LIDAR or a camera cannot tell apart")
+        say("looking for symmetries, and for those that a LIDAR or a camera cannot distinguish")
         return sections, [one for one in (symmetries or _by_shape)(target) if one.mistaken]
 
     try:
@@ -353,12 +353,14 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
 def _note(one: "FoundSymmetry") -> str:
     """Return what distinguishes the poses of a symmetry, in which sensor at which range."""
     if one.exact:
-        return "any turn: no sensor tells the angle" if one.continuous else "surfaces and materials agree"
+        return "any turn: no sensor measures the angle" if one.continuous else "surfaces and materials agree"
     parts = []
     for sensor in dict.fromkeys(each.sensor for each in one.likeness):
         mine = [each for each in one.likeness if each.sensor == sensor]
-        alike = [f"{each.range_m:.3g} m" for each in mine if 2 * each.alike >= each.views]
-        parts.append(f"{sensor} mistakes it at {', '.join(alike)}" if alike else f"{sensor} tells it apart")
+        mistaken = [f"{each.range_m:.3g} m" for each in mine if 2 * each.alike >= each.views]
+        parts.append(
+            f"{sensor} mistakes it at {', '.join(mistaken)}" if mistaken else f"{sensor} distinguishes it"
+        )
     return ("any turn: " if one.continuous else "") + "; ".join(parts)
 
 

@@ -28,7 +28,7 @@ METRIC = (".gltf", ".glb", ".step", ".stp")
 STEP = (".step", ".stp")
 """Suffixes of STEP files."""
 MOST_TRIANGLES = 10_000_000
-"""Greatest number of triangles of a file, each copy of an object counted: their corners take 0.7 GB."""
+"""Largest number of triangles of a file, each copy of an object counted: their corners take 0.7 GB."""
 _TEXTS = (".obj", ".off")
 _GLTF = (".gltf", ".glb")
 

@@ -1,6 +1,6 @@
 """The arrays of a glTF file as its reader, trimesh, needs them.
 
-The reader leaves out fans of triangles. It ignores that integers stand for shares of one (``normalized``),
+The reader leaves out fans of triangles. It ignores that integers encode shares of one (``normalized``),
 and that some values of an array are replaced by others (``sparse``). So each of these is replaced in the
 document before; the reader does the rest.
 """

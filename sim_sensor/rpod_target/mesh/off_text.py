@@ -8,7 +8,7 @@ import numpy as np
 _HEADER = re.compile(rb"\s*+(?:(ST)?(C)?(N)?(4)?(n)?OFF\b)?[ \t]*+(BINARY)?", re.IGNORECASE)
 _COMMENT = re.compile(rb"#[^\n]*+")
 MOST_COLOURS = 16
-"""Greatest number of colours of a mesh that count as materials: with more, they are a texture."""
+"""Largest number of colours of a mesh that count as materials: with more, they are a texture."""
 
 
 def as_obj(content: bytes) -> tuple[bytes, bytes]:

@@ -9,7 +9,8 @@ The order, and what each step is for:
    is closed with them; otherwise one of them is kept.
 4. A triangle whose three corners lie on a line is removed by splitting its neighbour there, so that the
    surface stays as closed as it was.
-5. Neighbours that run in opposite senses are turned alike, by patches whose edges have two triangles.
+5. Neighbours that run in opposite senses are turned to the same sense, by patches whose edges have two
+   triangles.
 6. A closed surface that faces inwards is turned outwards.
 
 No triangle is added and no hole is filled, so that sensors see the surfaces of the file and no others. A
@@ -48,7 +49,7 @@ class RepairedMesh:
     surface: Indices
     """Number of the separate surface of each triangle, shape (T,); surfaces share no corner."""
     patch: Indices
-    """Number of the patch of each triangle, shape (T,): within one, all triangles face alike."""
+    """Number of the patch of each triangle, shape (T,): within one, all triangles face the same side."""
     open_edges: Indices
     """Edges without an opposite one, of each surface; 0 for a closed one."""
     no_inside: NDArray[np.bool_]
@@ -285,7 +286,7 @@ def _beside(index: Indices, *, start: Indices, end: Indices, apart_from: Indices
 
 
 def _turned_alike(index: Indices, told: list[str]) -> tuple[Indices, Indices]:
-    """Return triangles that face alike within each patch, and the patches' numbers.
+    """Return triangles that face the same side within each patch, and the patches' numbers.
 
     Each triangle is two nodes, as it is and turned over; an edge of two triangles joins the nodes that agree.
     A component of this graph is one way to turn a patch. A patch of a surface with one side only (a Möbius

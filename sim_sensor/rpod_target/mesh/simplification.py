@@ -32,7 +32,7 @@ def simplified(
         steps: numbers of triangles that are tried, smallest first. A mesh of no more than the first stays.
 
     Returns:
-        Triangles, shape (S, 3, 3); for each, the index of the triangle that it stands for, shape (S,); and,
+        Triangles, shape (S, 3, 3); for each, the index of the triangle that it replaces, shape (S,); and,
         if they are not the same, their number, T and the measured distance.
     """
     same = np.arange(len(triangles))

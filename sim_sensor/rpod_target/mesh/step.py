@@ -4,9 +4,9 @@ import re
 from importlib.util import find_spec
 
 _DEFLECTION = 0.001
-"""Greatest distance of a triangle from a curved surface, as a share of an edge's length."""
+"""Largest distance of a triangle from a curved surface, as a share of an edge's length."""
 _ANGLE_RAD = 0.2
-"""Greatest angle between neighbouring segments of a curved edge."""
+"""Largest angle between neighbouring segments of a curved edge."""
 _METRES = re.compile(rb"SI_UNIT\s*\(\s*(?:\$|\.([A-Z]+)\.)\s*,\s*\.METRE\.\s*\)")
 _CONVERTED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'\s*([A-Za-z]+)")
 _UNITS = {

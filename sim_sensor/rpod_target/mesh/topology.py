@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from rpod_schemas.arrays import FloatArray
 
 _WELD = 1e-6
-"""Greatest distance of two equal corners, as a share of the surface's extent."""
+"""Largest distance of two equal corners, as a share of the surface's extent."""
 
 Indices = NDArray[np.int64]
 

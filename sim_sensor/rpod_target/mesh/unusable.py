@@ -24,7 +24,7 @@ _COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_m
 _INSTANCES = "EXT_mesh_gpu_instancing"
 """Extension that places a mesh several times; a reader without it shows the mesh once."""
 _MOST_ABSENT = 1 << 25
-"""Greatest number of values that a glTF file may announce without having them: they count as zeros."""
+"""Largest number of values that a glTF file may announce without having them: they count as zeros."""
 
 
 def unusable(suffix: str, content: bytes) -> str:

@@ -40,7 +40,7 @@ def solar_arrays(
     elif kind == "asymmetrical":
         share, narrower, turned = generator.uniform((0.3, 0.6, 0.3), (0.75, 1.0, 1.2)).tolist()
         wings.append((share * span, narrower * chord, turned - tilt, max(1, panels - 1)))
-    # A half turn about x repeats the wing; one about z, with the opposite tilt, lets the cells face alike.
+    # A half turn about x repeats the wing; one about z, with the opposite tilt, lets all cells face one way.
     other = Rotation.from_euler("x" if plain else "z", np.pi)
     back = "solar-cells" if plain else str(generator.choice(("white-paint", "grey-panel", "black-paint")))
     return [

@@ -9,7 +9,7 @@ FOILS = ("gold-mli", "silver-mli", "black-mli")
 BARE = ("aluminium", "steel", "white-paint", "grey-panel", "black-paint")
 """Materials without crinkles for bodies and equipment."""
 _VARIATION = 0.2
-"""Greatest change of a reflectance, as a share of it."""
+"""Largest change of a reflectance, as a share of it."""
 
 
 def drawn_materials(generator: Generator) -> dict[str, MaterialParameters]:

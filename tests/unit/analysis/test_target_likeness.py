@@ -70,7 +70,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Target
 def test_a_rocket_stage_has_a_free_axis_and_two_different_ends(stage: tuple[Target, str]) -> None:
     target, text = stage
     assert [(one.continuous, one.exact) for one in target.symmetries] == [(True, True)]
-    assert "any turn: no sensor tells the angle" in text
+    assert "any turn: no sensor measures the angle" in text
 
 
 def test_a_square_tank_has_no_free_axis(tmp_path: Path, cache: Path) -> None:

@@ -14,12 +14,12 @@ from rpod_estimator.estimator import Estimator
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
 from rpod_estimator.search_process import SearchProcess, found_as_in_process, packed
+from rpod_pose.cancellation import CancelledError, cancelled_if
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
 from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, PAUSED, Found, Search
 from rpod_pose.ports import Acquisition, Candidate, Candidates, Registration
 from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_pose.unwanted import UnwantedError, unless
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, Source
@@ -199,7 +199,7 @@ def test_a_search_that_nobody_waits_for_ends_at_its_next_step():
 
     tracker = Tracker()
     acquirer = VerifiedSearch(Candidates8(), tracker, "first")
-    with pytest.raises(UnwantedError), unless(theirs.poll):
+    with pytest.raises(CancelledError), cancelled_if(theirs.poll):
         acquirer.acquire(WALL)
     assert tracker.asked == 3
     wanted = iter([True] * 8)

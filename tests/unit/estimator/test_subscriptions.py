@@ -1164,7 +1164,7 @@ def test_two_sensors_of_the_same_topics_are_told():
     """As where a preset is copied for a second camera, and its namespace is not changed."""
     sensors = [{"kind": "pmd", "name": name, "source": FOREIGN} for name in ("left", "right")]
     with pytest.raises(
-        ConfigurationError, match=r"right: source\.topics: .* is the depth of the sensor left"
+        ConfigurationError, match=r"right: source\.topics: .* is already the depth of the sensor left"
     ):
         Bench(sensors=sensors)
 

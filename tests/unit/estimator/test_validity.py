@@ -15,7 +15,7 @@ from rpod_schemas.types import EstimatorStatus, Mode, Odometry
 SECOND_NS = 1_000_000_000
 
 
-def result(number_s, *, sensor="pmd", mode=Mode.TRACKING, reason="", of_no_use=""):
+def result(number_s, *, sensor="pmd", mode=Mode.TRACKING, reason="", unusable=""):
     stamp_ns = round(number_s * SECOND_NS) + 1
     status = EstimatorStatus(
         stamp_ns=stamp_ns, frame_id="chaser", mode=mode, sensor=sensor, accepted=not reason, reason=reason
@@ -24,7 +24,7 @@ def result(number_s, *, sensor="pmd", mode=Mode.TRACKING, reason="", of_no_use="
         stamp_ns=stamp_ns, frame_id="chaser", child_frame_id="target_estimate", pose=make_pose(),
         linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
     )  # fmt: skip
-    return Output(status, odometry if mode == Mode.TRACKING else None, of_no_use=of_no_use)
+    return Output(status, odometry if mode == Mode.TRACKING else None, unusable=unusable)
 
 
 def fed(validity, *, period_s=1 / 16, frames=32, start_s=0.0, sensor="pmd", reason="", refused="", repeats=0):
@@ -122,7 +122,7 @@ def test_an_estimate_whose_own_covariance_is_beyond_the_alert_limit_is_not_valid
     validity = Validity(0.2)
     last_s = fed(validity)
     vague = "sigma of the attitude 4.0 deg, alert limit 3 deg"
-    validity.take(result(last_s + 0.06, of_no_use=vague), now_s=last_s + 0.06)
+    validity.take(result(last_s + 0.06, unusable=vague), now_s=last_s + 0.06)
     assert at(validity, last_s + 0.06).reason == vague
     assert at(validity, last_s + 0.3).reason == "no new measurement was accepted for 0.30 s"
     assert at(validity, fed(validity, start_s=last_s + 0.06)).valid

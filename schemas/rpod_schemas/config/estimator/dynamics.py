@@ -48,7 +48,7 @@ class DynamicsTuning(Tuning):
     gyro_bias_walk_deg_s_sqrt_s: Annotated[
         Positive, Provenance("physics", "0.3 deg/h, its bias instability (STIM300 data sheet), in 1,000 s")
     ] = 2.6e-6
-    """Random walk of the gyro's bias, deg/s/sqrt(s), where a star tracker tells the bias."""
+    """Random walk of the gyro's bias, deg/s/sqrt(s), where a star tracker determines the bias."""
 
 
 class DynamicsConfig(Config):
@@ -67,7 +67,7 @@ class DynamicsConfig(Config):
     """The orbit, for a prediction by Clohessy and Wiltshire's equations of free flight. Set it where the
     chaser does not thrust during gaps, or where its IMU measures accelerations."""
     imu: ImuConfig | None = None
-    """The chaser's IMU, which tells the chaser's rotation. Set it if the chaser turns and publishes
+    """The chaser's IMU, which measures the chaser's rotation. Set it if the chaser turns and publishes
     ``chaser/imu``."""
     tuning: DynamicsTuning = DynamicsTuning()
     """Limits and numbers of the method that are outside the public interface; change them only to study

@@ -131,7 +131,7 @@ class NavigatorTuning(Tuning):
         ),
     ] = 12
     """Largest number of rivals of an ambiguous first pose that are tracked in parallel; with more, the next
-    frame is searched anew. A hexagonal prism looks alike from twelve attitudes, a box from four."""
+    frame is searched again. A hexagonal prism looks the same in twelve attitudes, a box in four."""
     search_pause_s: Annotated[NonNegative, BUDGET] = 1.0
     """Time between two searches of one sensor that find nothing, s, where there are several sensors. The
     frames of a sensor that is out of range would otherwise delay the others. One sensor is not affected."""

@@ -69,12 +69,13 @@ class FilterConfig(Config):
     errors: Literal["considered", "inflated"] = "inflated"
     """How errors that last from frame to frame are treated. ``considered`` carries them as states, as large
     as the sensor's method and the target's ``tolerance_m`` say; the three fields above then apply only to a
-    sensor whose method does not tell them apart. ``inflated`` uses these three fields for all. Set
+    sensor whose method does not separate them. ``inflated`` uses these three fields for all. Set
     ``considered`` where the target's file is right within its ``tolerance_m``."""
     mount_sigma_deg: NonNegative = 0.0
     """Standard deviation of the attitude of a sensor's mount about each axis, deg, for which the filter
-    estimates it. Set it where mounts are not calibrated well: two sensors that disagree then tell by how
-    much, and the covariance of the estimate contains what none of them can tell."""
+    estimates it. Set it where mounts are not calibrated well: the difference between the mounts of two
+    sensors is then estimated from their poses, and the covariance of the estimate contains what remains
+    unknown."""
     mount_sigma_m: NonNegative = 0.0
     """The same of the place of a sensor's mount along each axis, m. Set it together with
     ``mount_sigma_deg``."""

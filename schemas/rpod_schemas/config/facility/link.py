@@ -11,7 +11,7 @@ from rpod_schemas.config.base import Config, Positive
 
 
 class LinkConfig(Config):
-    """Tuning of one side's links. Each side tunes what it sends: set both sides alike."""
+    """Tuning of one side's links. Each side tunes what it sends: give both sides the same values."""
 
     lease_s: float = Field(default=10.0, ge=0.5, le=60.0)
     """Time without a sign of life after which the other side takes the link as gone, s

@@ -24,7 +24,7 @@ Count = Annotated[int, Field(gt=0)]
 
 
 class ScanModelConfig(Tuning):
-    """Assumed statistics of a scan that neither the sensor nor the scan tells."""
+    """Assumed statistics of a scan, which neither the sensor states nor the scan shows."""
 
     sigma_range_m: Annotated[
         Positive | None, Provenance("physics", "the sensor's own message, if it states one")
@@ -112,7 +112,7 @@ class ProjectiveIcpTuning(Tuning):
     """Share of a scan above which a prediction that explains it needs no coarse steps: they let the target
     slide in directions that its faces leave undetermined."""
     sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
-    """Excess of the actual over the expected log likelihood for each return from which on the faces alone are
+    """Excess of the actual over the expected log likelihood, for each return, above which the faces alone are
     sufficient, if they determine all motions."""
     fine_steps: Annotated[Count, BUDGET] = 3
     """Number of fine steps, which align all returns with the faces."""
@@ -186,15 +186,15 @@ class GlobalSearchTuning(Tuning):
     most_returns: Annotated[Count, BUDGET] = 900
     """Number of returns above which rows and columns of a scan are left out."""
     sure_returns: Annotated[Count, BY_HAND] = 60
-    """Number of returns, counted as for ``sufficient_returns``, from which on the first candidate that surely
-    explains them ends the search: its actual log likelihood exceeds the expected one by ``sure_surplus`` for
-    each return."""
+    """Least number of returns, counted as for ``sufficient_returns``, with which the first candidate that
+    surely explains them ends the search: its actual log likelihood exceeds the expected one by
+    ``sure_surplus`` for each return."""
     sure_surplus: Annotated[NonNegative, BY_HAND] = 0.3
     """Excess of the actual over the expected log likelihood of a sure candidate, for each return."""
     sufficient_returns: Annotated[int, Field(ge=0), BY_HAND] = 70
-    """Number of returns from which on the faces are taken to determine a pose. In scans with fewer, the best
-    poses are refined on the outline and by samples after the alignment. In others, the outline is used for
-    poses that explain about half of the scan, and if the best pose has a rival. A return from a target
+    """Least number of returns with which the faces are assumed to determine a pose. In scans with fewer, the
+    best poses are refined on the outline and by samples after the alignment. In others, the outline is used
+    for poses that explain about half of the scan, and if the best pose has a rival. A return from a target
     smaller than 1,000 standard deviations of a range counts less, by the information that it carries."""
     rival_log_likelihood: Annotated[Positive, BY_HAND] = 25.0
     """Largest difference of log likelihood between the best pose and a rival."""

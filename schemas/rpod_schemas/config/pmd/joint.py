@@ -1,5 +1,6 @@
 """Parameters of the joint tracker: depth points and amplitude edges in one least squares."""
 
+from operator import attrgetter
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -36,7 +37,7 @@ class RangeErrorConfig(Tuning):
     """Standard deviations of the range errors that do not average out over a frame."""
 
     bias_m: Positive
-    """Standard deviation of the error that all points share, m; each frame estimates this error anew."""
+    """Standard deviation of the error that all points share, m; it is estimated in each frame."""
     uneven_m: NonNegative
     """Standard deviation of the remaining error, which varies over the target, m; it counts as one more error
     of the whole depth."""
@@ -179,17 +180,15 @@ class JointTuning(Tuning):
 
     @model_validator(mode="after")
     def _narrows(self) -> Self:
-        if self.depth.final_scale_share > self.depth.scale_share:
-            raise ValueError("depth.final_scale_share must not exceed depth.scale_share: the weights narrow")
-        if self.edges.final_search_px > self.edges.search_px:
-            raise ValueError("edges.final_search_px must not exceed edges.search_px: the search narrows")
-        if self.acceptance.min_edge_share > self.acceptance.weak_edge_share:
-            raise ValueError(
-                "acceptance.min_edge_share must not exceed acceptance.weak_edge_share: "
-                "a pose between them is doubtful"
-            )
-        if self.near_iterations > self.iterations:
-            raise ValueError("near_iterations must not exceed iterations, of which they are the last")
+        for lower, upper, why in (
+            ("depth.final_scale_share", "depth.scale_share", "the weights narrow from step to step"),
+            ("edges.final_search_px", "edges.search_px", "the search narrows from step to step"),
+            ("acceptance.min_edge_share", "acceptance.weak_edge_share", "a pose between them is doubtful"),
+            ("near_iterations", "iterations", "they are the last of them"),
+        ):
+            value, limit = attrgetter(lower)(self), attrgetter(upper)(self)
+            if value > limit:
+                raise ValueError(f"{lower} is {value:g}, must not exceed {upper} ({limit:g}): {why}")
         return self
 
 

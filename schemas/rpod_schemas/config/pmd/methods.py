@@ -125,7 +125,10 @@ class SignedDistanceTuning(Tuning):
     @model_validator(mode="after")
     def _narrows(self) -> Self:
         if self.final_scale_m > self.scale_m:
-            raise ValueError("final_scale_m must not exceed scale_m: the weights narrow")
+            raise ValueError(
+                f"final_scale_m is {self.final_scale_m:g}, must not exceed scale_m ({self.scale_m:g}): "
+                "the weights narrow from step to step"
+            )
         return self
 
 

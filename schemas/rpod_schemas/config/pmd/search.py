@@ -47,7 +47,7 @@ class PmdModelConfig(Tuning):
     """Standard deviation of a depth without its noise, m: uncalibrated wiggling, as
     ``JointDepthConfig.raw``."""
     most_noise_m: Annotated[Positive, OF_CAMERA] = 0.1
-    """Largest assumed noise of a depth, which neighbouring pixels tell, m."""
+    """Largest assumed noise of a depth, which is estimated from the neighbouring pixels, m."""
     slack_share: Annotated[Positive, BY_HAND] = 0.016
     """Standard deviation of the surface along its normal, as a share of the target's radius; on a steep face
     it is larger along the ray."""
@@ -112,10 +112,10 @@ class PmdAcquisitionTuning(Tuning):
             "best after the alignment had at most 1.5 times its loss before",
         ),
     ] = 2.0
-    """Greatest ratio of a pose's loss to that of the best one up to which the tracker aligns it as well, so
+    """Largest ratio of a pose's loss to that of the best one up to which the tracker aligns it as well, so
     that both are compared again."""
     settling: Annotated[int, Field(ge=0), BUDGET] = 6
-    """Greatest number of further alignments of a first pose, each from the last one's result, as long as the
+    """Largest number of further alignments of a first pose, each from the last one's result, as long as the
     frame is likelier there and the pose has not settled."""
     settled_px: Annotated[
         Positive, Provenance("numerics", "a third of the least standard deviation of an edge's position")

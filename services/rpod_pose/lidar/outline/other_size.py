@@ -1,15 +1,16 @@
 """Registration of a scan with a target that is larger or smaller than its model.
 
-A target that is k times as large, seen at a range r, gives the same scan as the model at r / k, but for the
-ranges, which are k times as long. So the model is registered with ranges, noise and place divided by k: no
-other model is needed. Ranges of facets alone hardly tell a size, since a shift along the line of sight
-explains most of it. The outline does, so that this uses the likelihood of all rays.
+A target that is k times as large, at a range r, gives the same scan as the model at r / k, except that its
+ranges are k times as long. So the model is registered with ranges, noise and position divided by k: no other
+model is needed. The ranges on the faces alone hardly determine the size, since a shift along the line of
+sight explains most of a difference. The outline determines it. Therefore the likelihood of all rays is used.
 
-A beam that is wider than assumed also makes a target look larger, in all scans alike. So however many scans
-prefer a larger one, their odds are at most those against an outline that is off by half a beam.
+A beam that is wider than assumed also makes a target look larger, in all scans in the same way. So however
+many scans prefer a larger target, their log odds are limited to those against an outline that is off by half
+a beam.
 
-Likelihoods of returns are densities of their ranges. Those of ranges divided by k are k times as large, so
-that each return's logarithm is reduced by log k before two sizes are compared.
+Likelihoods of returns are densities of their ranges. The densities of ranges divided by k are k times as
+large. So log k is subtracted for each return before two sizes are compared.
 """
 
 from dataclasses import dataclass
@@ -28,18 +29,18 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
 SHARE = 0.03
-"""Share by which another size differs. Hand: models of satellites are right within 1 to 3 % of their size (as
-``slack_share`` of the scan's model)."""
+"""Least relative difference of the tested sizes. Hand: models of satellites are right within 1 to 3 % of
+their size (as ``slack_share`` of the scan's model)."""
 SIGMAS = 4.0
-"""Standard deviations of the size, as the target's file declares it, by which another size differs if that is
-more. Physics: one in 16,000 normal errors is larger."""
+"""Least difference of the tested sizes in standard deviations of the size, which the target's file declares.
+Physics: one in 16,000 normal errors is larger."""
 
 
 @dataclass(frozen=True, eq=False)
 class OtherSizes:
     """Registers a scan with a smaller and with a larger target when it is called.
 
-    Another process gets the results: the scan and the target would be many megabytes.
+    When it is sent to another process, the results are sent: the scan and the target have many megabytes.
     """
 
     problem: FaceProblem
@@ -54,10 +55,10 @@ class OtherSizes:
     reach: Reach
     """Limits of predictions, and the resolution of the outline."""
     scale_tolerance: float
-    """Standard deviation of the size, as a share, that the target's file declares."""
+    """Relative standard deviation of the size, which the target's file declares."""
 
     def __call__(self) -> tuple[OtherSize, ...]:
-        """Return the registrations with both sizes; without one that has no solution."""
+        """Return the poses for both sizes, without one that has no solution."""
         most = max(SHARE, SIGMAS * self.scale_tolerance)
         sizes = (self._of(share) for share in (-most, most))
         return tuple(size for size in sizes if np.isfinite(size.step).all())
@@ -66,7 +67,7 @@ class OtherSizes:
         return partial, (tuple, self())
 
     def _of(self, share: float) -> OtherSize:
-        """Return the registration with a target that is larger by a share; not finite if there is none."""
+        """Return the pose for a target that is larger by ``share``; its step is not finite if none fits."""
         k, (R, t) = 1.0 + share, self.found.pose
         shorter_m = (self.range_m / k).astype(self.range_m.dtype)
         statistics = _shorter_statistics(self.assumed, k)
@@ -79,7 +80,7 @@ class OtherSizes:
         return OtherSize(share, log_odds, step, self._most_log_odds(share))
 
     def _most_log_odds(self, share: float) -> float:
-        """Return the log odds of a larger target against beams of unknown width, which widen outlines."""
+        """Return the limit of the log odds: a beam that is wider than assumed also widens the outline."""
         if share <= 0.0:
             return inf
         sigma_m = HALF_BEAM_RAD * float(np.linalg.norm(self.found.pose.t))

@@ -1,9 +1,9 @@
-"""The places where near surfaces end between neighbouring rays, at a pose at which the target is rendered.
+"""Places between neighbouring rays at which a near surface ends, for a pose at which the target is rendered.
 
 A surface ends at an edge of the mesh between a face that is seen from outside and one that is not, or at a
-border. Such an edge is compared only with the pairs of neighbouring rays of which one does not continue what
-the other meets. It crosses the plane of the two rays in a point. This gives the place between them, its
-range and, by the direction of the edge, its normal, all without casting a ray.
+border of the mesh. Such an edge is compared only with those pairs of neighbouring rays that meet different
+surfaces. The edge crosses the plane of the two rays in a point. This point gives the place between them and
+its range, and the direction of the edge gives the normal, all without casting a ray.
 """
 
 from typing import NamedTuple
@@ -20,11 +20,12 @@ from rpod_pose.registration.surface_model import Faces
 from rpod_schemas.arrays import FloatArray
 
 JUMP = 4.0
-"""Least difference of two ranges, in standard deviations of one, at which a surface ends. Physics: the noise
-of a difference is 1.4 of these, so that one in 200 pairs on one surface seems to be a jump."""
+"""Least difference of two ranges at which a surface ends, in standard deviations of a range. Physics: the
+noise of a difference is 1.4 times that of a range, so that one in 200 pairs on one surface seems to be a
+jump."""
 NEARER = 0.5
-"""Greatest distance of an edge from the surface that ends there, as a share of that to the surface behind it.
-Hand: an edge farther away belongs to something hidden."""
+"""Largest distance of an edge from the surface that ends there, over the distance from this surface to the
+one behind it. Hand: an edge that is farther away belongs to a hidden surface."""
 
 
 class Places(NamedTuple):
@@ -35,7 +36,8 @@ class Places(NamedTuple):
     direction: FloatArray
     """Unit direction of each place in sensor axes, shape (N, 3)."""
     normal: FloatArray
-    """Unit normal of the outline there, perpendicular to the direction, towards the near surface, (N, 3)."""
+    """Unit normal of the outline, sensor axes, perpendicular to the direction, towards the near surface,
+    shape (N, 3)."""
     range_m: FloatArray
     """Range of the near surface there, shape (N,)."""
     rays: NDArray[np.int64]
@@ -59,7 +61,7 @@ class Pair(NamedTuple):
     """Two neighbouring rays between which a surface may end."""
 
     number: int
-    """Number of the pair, which is that of its place."""
+    """Number of the pair, which is also that of its place."""
     one: int
     """Row-major index of the first ray."""
     two: int
@@ -67,7 +69,7 @@ class Pair(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """An edge at which a surface ends, sensor axes."""
+    """A visible edge at which a surface ends, sensor axes."""
 
     face: int
     """The face that ends."""
@@ -81,7 +83,7 @@ class Seen(NamedTuple):
 
 @inlined_kernel
 def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
-    """Return the places of the outline.
+    """Return the places of the outline at a pose.
 
     Args:
         pose: pose of the target in the sensor.
@@ -124,7 +126,7 @@ def places(pose: PoseArrays, rays: Rays, assumed: Assumptions) -> Places:
 
 @inlined_kernel
 def on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
-    """Return the range at which a ray, a row-major index, meets a face's plane, m; inf if it does not."""
+    """Return the range at which a ray, a row-major index, meets a face's plane, m; inf if it never does."""
     width, directions = rays.face.shape[1], rays.grid.components
     i, j = ray // width, ray % width
     d = in_target(pose.R, directions[0, i, j], directions[1, i, j], directions[2, i, j])
@@ -137,12 +139,12 @@ def on_plane(pose: PoseArrays, rays: Rays, face: int, ray: int) -> float:
 
 @inlined_kernel
 def _ending(pose: PoseArrays, rays: Rays, limit_m: float) -> tuple[NDArray[np.int32], int]:
-    """Return the number of each pair of neighbours between which a surface may end, and how many there are.
+    """Return the number of each pair of neighbours between which a surface may end, and the number of pairs.
 
     Args:
         pose: pose of the target in the sensor.
         rays: rays and target; their buffers hold the target rendered at the pose.
-        limit_m: difference of two ranges from which on neither ray continues what the other meets.
+        limit_m: largest distance of a ray's hit from the other ray's plane at which both meet one surface.
 
     Returns:
         Pairs of a ray and the next one in its row, and in its column, -1 for others, (2, rows, columns).
@@ -191,7 +193,7 @@ def _ends(pose: PoseArrays, ends_m: FloatArray) -> tuple[Vector, Vector]:
 
 @inlined_kernel
 def _block(grid: GridArrays, start: Vector, end: Vector) -> Block:
-    """Return the rows and columns of the grid that an edge may cross."""
+    """Return the rows and columns of the grid that an edge, sensor axes, may cross."""
     left, right = slopes_ahead(start.x, start.z, end.x, end.z)
     top, bottom = slopes_ahead(start.y, start.z, end.y, end.z)
     return Block(
@@ -204,12 +206,12 @@ def _block(grid: GridArrays, start: Vector, end: Vector) -> Block:
 
 @inlined_kernel
 def _from(values: FloatArray, value: float, including: bool) -> int:
-    """Return the first index whose value is above a given one, or equal to it; NumPy's search takes longer.
+    """Return the first index whose value is above a given one; NumPy's search takes longer.
 
     Args:
         values: sorted values, shape (N,).
-        value: the given one.
-        including: whether an equal value counts.
+        value: the given value.
+        including: whether an equal value is found too.
     """
     low, high = 0, values.size
     while low < high:
@@ -223,9 +225,9 @@ def _from(values: FloatArray, value: float, including: bool) -> int:
 
 @inlined_kernel
 def _crossing(directions: FloatArray, edge: Seen, one: int, two: int) -> float:
-    """Return where an edge, from its start 0 to its end 1, crosses between two rays; -1 if it does not.
+    """Return where an edge crosses between two rays: 0 is its start, 1 its end; -1 if it does not cross.
 
-    Most edges do not, and without records of arrays this takes a tenth of the time of ``_compare``.
+    Most edges do not cross. This check alone takes a tenth of the time of ``_compare``.
 
     Args:
         directions: ``GridArrays.components``.
@@ -255,7 +257,7 @@ def _crossing(directions: FloatArray, edge: Seen, one: int, two: int) -> float:
 def _compare(  # noqa: PLR0917
     found: Places, off_m: FloatArray, scene: tuple[PoseArrays, Rays], edge: Seen, pair: Pair, u: float
 ) -> None:
-    """Take an edge that crosses between the rays of a pair as its place, if it is nearer to what ends there.
+    """Store an edge that crosses between the rays of a pair as its place, if no nearer edge is known.
 
     Args:
         found: places so far, input and output.
@@ -294,7 +296,7 @@ def _compare(  # noqa: PLR0917
 
 @inner_kernel
 def _without_empty(found: Places) -> Places:
-    """Return the places without pairs that no edge was found for, in place."""
+    """Return the places without pairs for which no edge was found; the arrays are reused."""
     kept = 0
     for n in range(found.number):
         if found.rays[n, 0] >= 0:

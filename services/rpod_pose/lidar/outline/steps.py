@@ -1,12 +1,13 @@
-"""Evidence of the rays beside the outline for the pose.
+"""Evidence for the pose from the rays beside the outline.
 
-A small motion of the target moves the outline, and each ray beside it may change sides: its likelihood is a
-step in its distance from the outline,
+A small motion of the target moves the outline, and each ray beside it may change sides. So its likelihood is
+a step function of its distance from the outline,
 
-    p(m_j | pose) = p_out + (p_in - p_out) [s_j + a_j . (dtau, dtheta) > 0],
+    p(m_j | pose) = p_out + (p_in - p_out) [s_j + a_j . (dtau, dtheta) > 0].
 
-with the probabilities of its measured result if it meets the near surface and if it passes it. Such a
-likelihood has no gradient; ``step_posterior`` combines it with what the ranges tell.
+p_in is the likelihood of the ray's measured result m_j if it meets the near surface, p_out the one if it
+passes. s_j is the distance of the ray from the outline, positive inside, and a_j its derivative. Such a
+likelihood has no gradient; ``step_posterior`` combines it with the information of the ranges.
 """
 
 from math import log, sqrt
@@ -27,14 +28,14 @@ FARTHEST = 4
 """Largest number of rays in a row, on each side of the outline, that may contradict it. Numerics: a budget;
 rays farther from the outline do not move it."""
 SAME_LINE, SAME_PLACE = 0.95, 0.1
-"""Cosine between two normals, and difference of two distances in units of the rays' distance, up to which two
-places of the outline lie on one line for a ray between them. Hand: 18 deg, and a tenth of that distance."""
+"""Least cosine between the normals, and largest difference of the ray's distances over its distance from the
+place, at which two places of the outline lie on one line. Hand: 18 deg, and a tenth of that distance."""
 MOST_ODDS = 30.0
-"""Greatest logarithm of the ratio of two likelihoods of one ray. Numerics: the exponential stays finite, and
-such a ray is certain."""
+"""Limit of the log ratio of two likelihoods of one ray. Numerics: the exponential stays finite, and such a
+ray is certain."""
 LINES = 4
-"""Number of lines of the outline that one ray may lie beside and that are told apart. Numerics: memory; at a
-corner of the outline two lines meet."""
+"""Largest number of lines of the outline that are distinguished beside one ray. Numerics: memory; at a corner
+of the outline two lines meet."""
 
 
 class Scene(NamedTuple):
@@ -53,15 +54,15 @@ class Scene(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Steps as they are found."""
+    """Buffer of the steps that have been found so far."""
 
     number: NDArray[np.int64]
-    """Their number so far, shape (1,)."""
+    """Number of steps, shape (1,)."""
     steps: Steps
     place: NDArray[np.int32]
-    """Place of the outline of each of them, shape (E,)."""
+    """Number of the place of the outline of each step, shape (E,)."""
     of_ray: NDArray[np.int32]
-    """Steps of each ray, -1 for none, shape (rays, LINES)."""
+    """Numbers of the steps of each ray, -1 for none, shape (rays, LINES)."""
 
 
 class Beside(NamedTuple):
@@ -72,12 +73,15 @@ class Beside(NamedTuple):
     ray: int
     """Row-major index of the ray."""
     odds: float
-    """Log ratio of the likelihoods of its result if it meets the near surface and if it passes it."""
+    """Log ratio of the likelihoods of its result if it meets the near surface and if it passes."""
 
 
 @kernel
 def outline_steps(scene: Scene) -> Steps:
-    """Return the rays beside the outline: the nearest on each side, and those behind that contradict it."""
+    """Return the evidence of the nearest ray on each side of the outline, and of rays that contradict it.
+
+    On each side, rays are followed until one is consistent with the pose, at most ``FARTHEST`` of them.
+    """
     outline = places(scene.pose, scene.rays, scene.assumed)
     most = 2 * FARTHEST * outline.number
     found = Found(
@@ -112,7 +116,7 @@ def _odds(scene: Scene, outline: Places, place: int, ray: int, inside: int) -> f
     Args:
         scene: scan and pose.
         outline: places of the outline.
-        place: number of the place that the ray is beside.
+        place: number of the place beside which the ray lies.
         ray: row-major index of the ray.
         inside: 1 for a ray that meets the near surface at the pose, 0 for one that passes it.
     """
@@ -125,7 +129,7 @@ def _odds(scene: Scene, outline: Places, place: int, ray: int, inside: int) -> f
 
 @inlined_kernel
 def _add(found: Found, scene: Scene, outline: Places, beside: Beside) -> None:
-    """Add a ray beside a place of the outline to the steps, unless the same line of the outline has it.
+    """Add a ray beside a place of the outline to the steps, unless it has a step of the same line already.
 
     Args:
         found: steps so far, input and output.
@@ -159,7 +163,7 @@ def _add(found: Found, scene: Scene, outline: Places, beside: Beside) -> None:
 
 @inlined_kernel
 def _is_in_line(ray: int, start: int, outwards: int, rays: Rays) -> bool:
-    """Return whether a ray lies in the same row or column of the pattern as the one from which it is counted.
+    """Return whether a ray lies in the same row or column of the pattern as the ray at which a count starts.
 
     Args:
         ray: row-major index of the ray.
@@ -175,7 +179,7 @@ def _is_in_line(ray: int, start: int, outwards: int, rays: Rays) -> bool:
 
 @inlined_kernel
 def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
-    """Return the log likelihood of a ray's result, by its row-major index, if it meets a face (-1: none)."""
+    """Return the log likelihood of the result of a ray, a row-major index, if it meets a face (-1: none)."""
     rays, pose, assumed, width = scene.rays, scene.pose, scene.assumed, scene.range_m.shape[1]
     i, j, density = ray // width, ray % width, assumed.clutter_density
     m = scene.range_m[i, j]
@@ -200,9 +204,9 @@ def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
 
 @inlined_kernel
 def _fill_row(row: FloatArray, pose: PoseArrays, outline: Places, place: int) -> None:
-    """Fill the derivatives of the distance of a ray from the outline by (dtau, dtheta), shape (6,).
+    """Fill the derivatives of a ray's distance from the outline with respect to (dtau, dtheta), shape (6,).
 
-    A motion of the target by d along the normal, which points inwards, brings the outline nearer by d.
+    The normal points inwards. If the target moves by d along it, the distance of the ray decreases by d.
 
     Args:
         row: output.

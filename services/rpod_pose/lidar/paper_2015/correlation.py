@@ -19,7 +19,7 @@ from rpod_schemas.types import Float32Array
 BLOCK = 32
 """Number of scan points in a block. Numerics: a few vector registers."""
 SEGMENT = 8
-"""Greatest number of template points in a block; they are neighbours in one row of the scan pattern.
+"""Largest number of template points in a block; they are neighbours in one row of the scan pattern.
 Numerics: one vector register of single precision."""
 
 

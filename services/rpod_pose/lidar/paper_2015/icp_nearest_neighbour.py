@@ -111,7 +111,7 @@ def plane_equations(
         offsets: vectors from the closest points to them, shape (N, 3), m.
         lines: unit vectors, shape (N, 3).
         inlier: mask of the points that count, shape (N,).
-        resistance: weight with which each point's own motion, along any axis, counts against a step.
+        resistance: weight of each point's own motion, along any axis, which a step minimises too.
     """
     sums = no_sums()
     x_axis, y_axis, z_axis = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0), Vector(0.0, 0.0, 1.0)

@@ -28,7 +28,10 @@ class TauSweep:
     """Share of the scans that succeed if no template is left out."""
 
     def smallest_tau(self, loss: float) -> float:
-        """Return the least tau from which on at most the share ``loss`` of scans is lost; inf if none."""
+        """Return the least tau at which, as at all larger ones, at most a share ``loss`` of scans is lost.
+
+        It is inf if there is none.
+        """
         enough = self.success_share >= self.plain_success_share - loss
         first = len(enough) - int(np.logical_and.accumulate(enough[::-1]).sum())
         return float(self.taus[first]) if first < len(enough) else float("inf")

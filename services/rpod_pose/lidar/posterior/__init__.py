@@ -1,1 +1,1 @@
-"""Posterior of a pose from a scan: by samples where returns are few, by residuals where they are many."""
+"""Posterior of a pose from a scan: from samples if returns are few, from residuals if they are many."""

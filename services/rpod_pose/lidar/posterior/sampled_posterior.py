@@ -1,12 +1,12 @@
-"""Posterior of a pose from few returns, by samples of its neighbourhood.
+"""Posterior of a pose from few returns, computed from samples near the pose.
 
-Few returns leave several optima of the likelihood within some degrees, of which none is much likelier than
-the others. The mean, the covariance and the mass of the posterior near a pose are therefore computed from
-samples of it. Each round draws from Student's distribution with the mean and the covariance of the rounds
-before it. All samples are weighted by the likelihood over the mixture of all rounds' distributions (adaptive
-multiple importance sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance
-Sampling, Scandinavian Journal of Statistics 39, 2012). As long as a few samples have nearly all the weight,
-the next round follows a power of the weights below 1.
+With few returns, the likelihood has several optima within some degrees, and none is much likelier than the
+others. Therefore mean, covariance and mass of the posterior near a pose are computed from samples. Each round
+draws from Student's distribution with the mean and the covariance of the earlier rounds. All samples are
+weighted by the likelihood over the mixture of all rounds' distributions (adaptive multiple importance
+sampling, J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Adaptive Multiple Importance Sampling,
+Scandinavian Journal of Statistics 39, 2012). While a few samples have nearly all the weight, mean and
+covariance of the next round are computed with the weights raised to a power below 1.
 """
 
 from functools import cache
@@ -34,45 +34,44 @@ from rpod_pose.search.even_samples import sobol
 from rpod_schemas.arrays import FloatArray
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's distribution. Numerics: its tails reach poses that the rounds before did
+"""Degrees of freedom of Student's distribution. Numerics: its tails reach poses that earlier rounds did
 not."""
 ROUNDS, SAMPLES = 12, 64
 """Largest number of rounds, and number of samples in each. Numerics: a budget of computation."""
 SPREAD = 24.0
-"""Least effective number of samples from which a round's covariance is computed. Numerics: four for each
-unknown."""
+"""Least effective number of samples from which a covariance is computed. Numerics: four for each unknown."""
 ENOUGH = 48.0
-"""Effective number of samples that ends the rounds. Numerics: the mean is then known within a seventh of its
+"""Effective number of samples that ends the rounds. Numerics: the mean is then known to a seventh of a
 sigma."""
 OF_POSE = 6
 """Number of unknowns of a pose. Physics: three of position, three of attitude."""
 HALVINGS = 20
 """Number of bisections for the power of the weights. Numerics: the power is then known to 1e-6."""
 IMPOSSIBLE = -1e9
-"""Log likelihood of a step that turns by more than half a turn. Numerics: its weight is zero; a shorter step
-leads to the same attitude."""
+"""Log likelihood of a step whose rotation is larger than 180 deg. Numerics: its weight is zero; a shorter
+step leads to the same attitude."""
 
 
 MOST_NEAR, ENOUGH_NEAR, NARROWER = 0.9, 0.75, 1.0 / 3.0
-"""Share of a round's samples whose rays' triangles are listed; share of listed samples below which they are
-listed anew; and width over that of the known lists below which they are. Numerics: measured times; samples,
-listed or not, have the same likelihood."""
+"""Limits for the lists of triangles that each ray may meet near a pose: share of a round's samples that new
+lists cover; least share of samples that old lists must cover; largest width of the samples, over that of the
+old lists, at which new ones are made. Numerics: measured times; the lists do not change a likelihood."""
 WIDEST = 0.1
-"""Greatest motion of the target by the samples, over its size, up to which listing triangles takes less time
-than it saves. Numerics: measured times of 560 and 11,540 triangles."""
+"""Largest motion of the target by the samples, over its size, at which lists of triangles save time.
+Numerics: measured times of 560 and 11,540 triangles."""
 
 
 class Proposal(NamedTuple):
     """Distribution from which the samples of the first round are drawn."""
 
     covariance: FloatArray
-    """Rough covariance of (dtau, dtheta), rather too large, shape (6, 6)."""
+    """Rough covariance of (dtau, dtheta), too large rather than too small, shape (6, 6)."""
     steps: FloatArray
-    """``draws``."""
+    """Result of ``draws``."""
 
 
 class SampledPosterior(NamedTuple):
-    """Posterior near a pose, as steps (dtau, dtheta) from it."""
+    """Posterior near a pose, in steps (dtau, dtheta) from this pose, m and rad."""
 
     mean: FloatArray
     """Mean, shape (6,)."""
@@ -88,7 +87,7 @@ class SampledPosterior(NamedTuple):
 
 @cache
 def draws() -> FloatArray:
-    """Return samples of Student's distribution, spread evenly, always the same, (ROUNDS, SAMPLES, 6)."""
+    """Return evenly spread samples of Student's distribution, deterministic, (ROUNDS, SAMPLES, 6)."""
     even = sobol(7, 10)[: ROUNDS * SAMPLES].clip(1e-4, 1.0 - 1e-4)
     chi_squared = 2.0 * gammaincinv(0.5 * FREEDOM, even[:, 6:])
     steps: FloatArray = ndtri(even[:, :6]) * np.sqrt(FREEDOM / chi_squared)
@@ -110,7 +109,7 @@ def sampled_posterior(
         start: pose of the target in the sensor.
         rays: rays, target and buffers.
         assumed: statistics of returns.
-        proposal: what the samples of the first round are drawn from.
+        proposal: distribution from which the samples of the first round are drawn.
     """
     covariance, steps = proposal
     rounds, samples = steps.shape[0], steps.shape[1]
@@ -170,13 +169,13 @@ def log_likelihoods(
 def _near(
     near: NearTriangles, x: FloatArray, start: PoseArrays, mean: FloatArray, rays: Rays
 ) -> NearTriangles:
-    """Return the triangles that rays may meet at most of the samples: the known ones while they will do.
+    """Return lists of the triangles that rays may meet at most of the samples; old lists if they suffice.
 
     Args:
-        near: the triangles that are known.
+        near: the old lists.
         x: samples, shape (N, 6).
-        start: pose from which they are steps.
-        mean: step to their middle, shape (6,).
+        start: pose from which the samples are steps.
+        mean: mean of the samples, shape (6,).
         rays: rays and target.
     """
     middle = stepped(start, mean)
@@ -215,7 +214,7 @@ def _fill_logs(  # noqa: PLR0917
         x: samples, shape (N, 6).
         range_m: measured range of each ray, 0 without a return, shape (rows, columns).
         start: pose from which the samples are steps.
-        near: triangles that the rays may meet at poses near one another.
+        near: lists of the triangles that the rays may meet at poses near each other.
         rays: rays, target and buffers.
         assumed: statistics of returns.
     """
@@ -259,7 +258,7 @@ def _add_density(density: FloatArray, x: FloatArray, mean: FloatArray, root: Flo
 
 @inner_kernel
 def _weights(ratios: FloatArray, power: float) -> FloatArray:
-    """Return weights that sum to 1, from the logarithms of their ratios, raised to a power, shape (N,)."""
+    """Return weights that sum to 1, shape (N,), from logarithms of weights that are raised to a power."""
     weights = np.exp(power * (ratios - ratios.max()))
     normed: FloatArray = weights / weights.sum()
     return normed
@@ -267,13 +266,13 @@ def _weights(ratios: FloatArray, power: float) -> FloatArray:
 
 @inner_kernel
 def _effective(weights: FloatArray) -> float:
-    """Return the effective number of samples with weights that sum to 1, shape (N,)."""
+    """Return the effective number of samples for weights that sum to 1, shape (N,)."""
     return float(1.0 / (weights * weights).sum())
 
 
 @inner_kernel
 def _power(ratios: FloatArray) -> float:
-    """Return the greatest power, at most 1, of weights that leaves ``SPREAD`` effective samples.
+    """Return the largest power, at most 1, of weights with which ``SPREAD`` samples are effective.
 
     Args:
         ratios: logarithms of the weights, shape (N,).
@@ -292,11 +291,11 @@ def _power(ratios: FloatArray) -> float:
 
 @inner_kernel
 def _small_sample_factor(number: float) -> float:
-    """Return the factor on a covariance that was computed from a number of samples.
+    """Return the factor that corrects a covariance for the number of samples from which it was computed.
 
-    The inverse of such a covariance is too large by (n - 1) / (n - d - 2) on average for n normal samples of
-    d unknowns (T. W. Anderson, An Introduction to Multivariate Statistical Analysis, 2003, lemma 7.7.1), and
-    their mean has 1 / n of the covariance.
+    For n normal samples of d unknowns, the inverse of such a covariance is too large by the factor
+    (n - 1) / (n - d - 2) on average (T. W. Anderson, An Introduction to Multivariate Statistical Analysis,
+    2003, lemma 7.7.1). The error of the mean adds 1 / n of the covariance.
     """
     return (1.0 + 1.0 / number) * (number - 1.0) / (number - OF_POSE - 2.0)
 

@@ -1,8 +1,9 @@
 """Covariance of a registered scan: its own noise, and the errors of the target's model.
 
-The registration's information contains assumptions that a single scan needs for its belief: faces about their
-model by a slack, a variance of the residuals that is never below the stated one, and both for the outline.
-The noise that changes from scan to scan is estimated from the residuals, each with its own weight in the fit.
+The registration's information contains assumptions that a single scan needs for its belief: faces deviate
+from the model by a slack, and the variance of the residuals is never below the stated one. Both also hold for
+the outline. The noise that is independent from scan to scan is estimated here from the residuals, each with
+its weight in the fit.
 """
 
 from typing import NamedTuple, Self
@@ -31,7 +32,7 @@ class FaceRows(NamedTuple):
     """Returns on faces at the registered pose, one a row."""
 
     derivatives: FloatArray
-    """Derivatives of the residuals by (dtau, dtheta), but for the sign, shape (N, 6)."""
+    """Derivatives of the residuals with respect to (dtau, dtheta), with the opposite sign, shape (N, 6)."""
     weights: FloatArray
     """Weights in the last step, shape (N,)."""
     fading: FloatArray
@@ -39,13 +40,13 @@ class FaceRows(NamedTuple):
     residuals_m: FloatArray
     """Distances from the faces' planes, shape (N,)."""
     places_m: FloatArray
-    """Places of the returns, target axes, shape (N, 3)."""
+    """Positions of the returns, target axes, shape (N, 3)."""
     whole: float
-    """Factor of the registration's information on the sums of these rows."""
+    """Factor by which the registration's information is larger than the sum of these rows."""
 
     @classmethod
     def of(cls, problem: FaceProblem, found: ScanRegistration) -> Self:
-        """Return the returns on faces of a scan at its registered pose."""
+        """Return the rows of a scan at its registered pose."""
         R, t = found.pose
         cast_faces(problem.grid, problem.faces, R, t, problem.buffers)
         evidence = add_face_points(no_sums(), problem, found.pose, problem.scales_m[-1])
@@ -63,24 +64,25 @@ class FaceRows(NamedTuple):
 
     @property
     def information(self) -> FloatArray:
-        """Sum over the rows, shape (6, 6)."""
+        """Information matrix of the rows: the weighted sum of J^T J, shape (6, 6)."""
         found: FloatArray = (self.derivatives * self.weights[:, None]).T @ self.derivatives
         return found
 
 
 def noise_information(rows: FaceRows, found: ScanRegistration, weak: FloatArray) -> FloatArray:
-    """Return the information about (dtau, dtheta) for errors that are new in each scan, shape (6, 6).
+    """Return the information matrix of (dtau, dtheta) for errors that are independent in each scan, (6, 6).
 
-    With the weights w, their sum M = sum of w J^T J, and variances v of the residuals, the pose has the
-    covariance M^-1 (sum of w^2 v J^T J) M^-1 (H. White, Econometrica 48, 1980). A residual's variance is
-    estimated by its own square. The fit reduces this square by the residual's leverage; that part is replaced
-    by the assumed variance, scaled to all residuals. A robust weight answers less to a change than its own
-    size (P. J. Huber, Robust Statistics, 1981, section 7.6). What the outline adds stays as it is.
+    With weights w, M = sum of w J^T J, and variances v of the residuals, the pose has the covariance
+    M^-1 (sum of w^2 v J^T J) M^-1 (H. White, Econometrica 48, 1980). The variance of a residual is estimated
+    by its square. The fit reduces this square by the residual's leverage; this part is replaced by the
+    assumed variance, scaled to all residuals. With robust weights, the derivative of a weighted residual is
+    smaller than its weight (P. J. Huber, Robust Statistics, 1981, section 7.6). The information from the
+    outline is added unchanged.
 
     Args:
         rows: returns on faces.
         found: the registration.
-        weak: information that is added to keep all motions determined, shape (6, 6).
+        weak: weak prior information that keeps the matrices regular, shape (6, 6).
     """
     J, w, whole_sum = rows.derivatives, rows.weights, rows.information
     inverse = np.linalg.inv(whole_sum + weak)
@@ -96,21 +98,21 @@ def noise_information(rows: FaceRows, found: ScanRegistration, weak: FloatArray)
     answer = (J * w[:, None]).T @ J * response + weak
     scatter = (J * (w**2 * variance)[:, None]).T @ J + weak
     by_faces: FloatArray = answer @ np.linalg.solve(scatter, answer)
-    if not np.array_equal(found.information, found.faces.information):
+    if not np.array_equal(found.information, found.faces.information):  # equal only if the outline was used
         return by_faces
     every = np.column_stack((rows.derivatives, rows.weights))
     return by_faces + _positive(found.information - without_influential(whole_sum, every) * rows.whole)
 
 
 def model_covariance(rows: FaceRows, covariance: FloatArray, error: ModelError, parts: Parts) -> FloatArray:
-    """Return the covariance of (dtau, dtheta) by the errors of the target's model alone, shape (6, 6).
+    """Return the covariance of (dtau, dtheta) caused by the errors of the target's model alone, shape (6, 6).
 
-    The displacements move the returns on faces; the outline counts as exact within its blur.
+    Displacements of the target's parts move the returns on faces; the outline counts as exact.
 
     Args:
         rows: returns on faces.
-        covariance: covariance by the registration's information, shape (6, 6).
-        error: how far the model may be off.
+        covariance: inverse of the registration's information, shape (6, 6).
+        error: declared errors of the model.
         parts: the target's parts.
     """
     cells = parts.cells(rows.places_m, parts.at(rows.places_m))
@@ -126,7 +128,7 @@ def model_covariance(rows: FaceRows, covariance: FloatArray, error: ModelError, 
 
 
 def _positive(information: FloatArray) -> FloatArray:
-    """Return an information without negative eigenvalues, shape (6, 6)."""
+    """Return an information matrix with negative eigenvalues set to zero, shape (6, 6)."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     found: FloatArray = (vectors * values.clip(0.0)) @ vectors.T
     return found

@@ -1,10 +1,10 @@
-"""Posterior of a pose from a normal distribution and from likelihoods that are steps.
+"""Posterior of a pose from a normal distribution and from likelihoods that are step functions.
 
-A ray beside the outline of a target tells on which side of it the outline is, and no more: its likelihood is
-a step in the pose, p_out + (p_in - p_out) [s + a . (dtau, dtheta) > 0]. Many of them bound the pose from all
-sides. Their product with a normal distribution is approximated by a normal distribution by expectation
-propagation (T. Minka, Expectation Propagation for Approximate Bayesian Inference, UAI 2001; section 4, the
-Bayes point machine). It gives the mean of the pose, not only a likely one, and its covariance.
+A ray beside the outline of a target only shows on which side of the ray the outline is. So its likelihood is
+a step function of the pose, p_out + (p_in - p_out) [s + a . (dtau, dtheta) > 0]. Many such rays bound the
+pose from all sides. Their product with a normal distribution is approximated by a normal distribution, by
+expectation propagation (T. Minka, Expectation Propagation for Approximate Bayesian Inference, UAI 2001;
+section 4, the Bayes point machine). The result is the mean of the pose and its covariance.
 """
 
 from math import erf, exp, pi, sqrt
@@ -18,20 +18,19 @@ from rpod_schemas.arrays import FloatArray
 SWEEPS = 8
 """Largest number of passes over all steps. Numerics: a budget; ``SETTLED`` ends most of them."""
 SETTLED = 3e-2
-"""Change of the mean, in standard deviations, below which a pass is the last. Numerics: a thirtieth of the
-error."""
+"""Largest change of the mean in the last pass, in standard deviations. Numerics: a thirtieth of the error."""
 CERTAIN = 5.0
-"""Distance from a step, in standard deviations, from which on a measurement that agrees tells nothing.
+"""Least distance from a step, in standard deviations, at which a consistent measurement gives no information.
 Physics: one in 3.5 million normal errors is larger to one side."""
 
 
 class Steps(NamedTuple):
-    """Measurements, such as rays beside an outline, whose likelihoods are steps in the pose."""
+    """Measurements, such as rays beside an outline, whose likelihoods are step functions of the pose."""
 
     number: int
     """Number of measurements, E; the arrays may be longer."""
     rows: FloatArray
-    """Derivatives a of the distance by (dtau, dtheta), shape (E, 6)."""
+    """Derivatives a of the distance with respect to (dtau, dtheta), shape (E, 6)."""
     distance_m: FloatArray
     """Distance s from the step at the pose, positive inside, shape (E,)."""
     odds: FloatArray
@@ -46,11 +45,11 @@ class Normal(NamedTuple):
     covariance: FloatArray
     """Covariance, shape (6, 6)."""
     spread: FloatArray
-    """Memory for a covariance with one distance, shape (6,)."""
+    """Work memory for a covariance with one distance, shape (6,)."""
 
 
 class Factors(NamedTuple):
-    """Normal factors that stand for steps."""
+    """Normal factors that approximate the steps."""
 
     precision: FloatArray
     """Precision, shape (E,)."""
@@ -64,7 +63,7 @@ class Posterior(NamedTuple):
     mean: FloatArray
     """Mean, shape (6,)."""
     information: FloatArray
-    """Information that the steps add to that of the ranges, shape (6, 6)."""
+    """Information matrix that the steps add to that of the ranges, shape (6, 6)."""
 
 
 @kernel
@@ -75,8 +74,8 @@ def propagated(
 
     Args:
         steps: likelihoods of the rays beside the outline.
-        information: information of the ranges about the step, shape (6, 6).
-        gradient: their gradient at a step of 0, shape (6,).
+        information: information matrix of the ranges, shape (6, 6).
+        gradient: gradient of the ranges at a step of 0, shape (6,).
         hold: prior information that the step is zero, above 0, shape (6,).
         blur_m: standard deviation of the place of the outline.
     """
@@ -104,7 +103,7 @@ def propagated(
 
 @inlined_kernel
 def _assimilate(steps: Steps, e: int, state: Normal, factors: Factors, blur_m: float) -> None:
-    """Replace the normal factor that stands for one step, and update the distribution.
+    """Replace the normal factor that approximates one step, and update the distribution.
 
     Args:
         steps: all steps.
@@ -138,11 +137,11 @@ def _assimilate(steps: Steps, e: int, state: Normal, factors: Factors, blur_m: f
 
 @inner_kernel
 def _matched(centre: float, variance: float, odds: float, blur_m: float) -> tuple[float, float]:
-    """Return precision and precision times mean of the normal factor that stands for a step.
+    """Return precision and precision times mean of the normal factor that approximates a step.
 
     Its product with a normal distribution has the same mean and variance as the product with the step
-    p_out + (p_in - p_out) Phi(s / blur), whose greater level is 1. A step that makes the distribution wider,
-    as one that almost certainly does not hold, counts as no information.
+    p_out + (p_in - p_out) Phi(s / blur), whose larger level is 1. A step that would make the distribution
+    wider counts as no information; this happens if the step almost certainly does not hold.
 
     Args:
         centre: mean of the distance s without the step, m.

@@ -1,4 +1,4 @@
-"""Rotation and measured acceleration of the chaser between two times: held, or as its IMU has measured."""
+"""Rotation and acceleration of the chaser between two times: of a held attitude, or measured by its IMU."""
 
 from typing import NamedTuple, Protocol
 
@@ -11,43 +11,45 @@ from rpod_schemas.arrays import FloatArray
 class ChaserStep(NamedTuple):
     """Motion of the chaser relative to inertial space in a step.
 
-    Axes without another name are the chaser's at the start of the step. A bias b of the gyro (of the
-    accelerometer) is in chaser axes; the numbers here are those for a bias of zero, with their derivatives.
+    Vectors are in the chaser's axes at the start of the step, unless stated otherwise. A bias b of the gyro
+    or of the accelerometer is in chaser axes. The values hold for a bias of zero, and their derivatives with
+    respect to the bias are given.
     """
 
     turn: FloatArray
-    """Coordinates in chaser axes at the start to those at the end, of what is at rest, shape (3, 3)."""
+    """Rotation matrix from chaser axes at the start to chaser axes at the end, for a vector at rest in
+    inertial space, shape (3, 3)."""
     turn_by_bias: FloatArray
-    """Derivatives of the turn by the gyro's bias, as left errors, shape (3, 3): Exp(D b) turn."""
+    """Derivatives D of the turn with respect to the gyro's bias, s, shape (3, 3): Exp(D b) turn."""
     rate_before_rad_s: FloatArray
     """Rate at the start, chaser axes at the start, shape (3,)."""
     rate_after_rad_s: FloatArray
     """Rate at the end, chaser axes at the end, shape (3,)."""
     turn_variance: float
-    """Variance of the turn about each axis, by the noise of the gyro, rad2."""
+    """Variance of the turn about each axis caused by the noise of the gyro, rad2."""
     unknown_s: float
     """Part of the time in which the chaser's rotation is unknown, s."""
     speed_m_s: FloatArray
-    """Integral of the measured specific force, shape (3,)."""
+    """First integral of the measured specific force: a change of velocity, shape (3,)."""
     way_m: FloatArray
-    """Its integral, shape (3,)."""
+    """Second integral of the measured specific force: a displacement, shape (3,)."""
     speed_by_bias: FloatArray
-    """Derivatives of ``speed_m_s`` by the accelerometer's bias, shape (3, 3)."""
+    """Derivatives of ``speed_m_s`` with respect to the accelerometer's bias, s, shape (3, 3)."""
     way_by_bias: FloatArray
-    """Derivatives of ``way_m`` by the accelerometer's bias, shape (3, 3)."""
+    """Derivatives of ``way_m`` with respect to the accelerometer's bias, s2, shape (3, 3)."""
     R_orbit_chaser: FloatArray | None
     """Attitude in the orbital frame at the start, shape (3, 3); None if it is unknown."""
     bias_kept: float = 1.0
-    """Share of the gyro's bias that is left at the end, where a star tracker takes it out in the step."""
+    """Share of the gyro's bias that remains at the end of a step in which a star tracker corrects it."""
     bias_noise: float = 0.0
     """Variance about each axis of the noise that is added to this share, (rad/s)^2."""
 
 
 class Chaser(Protocol):
-    """Known motion of the chaser."""
+    """The known motion of the chaser."""
 
     def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
-        """Return the motion between two stamps."""
+        """Return the motion between two stamps, ns."""
         ...
 
 
@@ -55,7 +57,7 @@ class Held:
     """A chaser that holds its attitude, in inertial space or in the orbital frame.
 
     Args:
-        R_orbit_chaser: attitude in the orbital frame, shape (3, 3); None for one in inertial space.
+        R_orbit_chaser: attitude held in the orbital frame, shape (3, 3); None for one in inertial space.
         orbit_rate_rad_s: rate of the orbit.
     """
 

@@ -1,14 +1,15 @@
 """Prediction of a target that moves freely, seen from a chaser that may turn and accelerate.
 
-The state is taken to the target's centre of mass and to axes that are at rest in inertial space and agree
-with the chaser's at the start of the step: q = p + R r, u = v + w x R r + o x q, W = w + o, where r is the
-centre of mass in target axes and o the chaser's rate. There the centre moves on a line or on a relative
-orbit, less what the chaser's own thrust gains, and the body turns at a constant rate or without torque. At
-the end the chaser's turn C leads to its axes, and the same relations lead back. The derivatives follow the
-same way, step by step; the errors of q, u and W are estimate minus truth like those of p, v and w.
+First the state is transformed to the target's centre of mass, and to axes that are at rest in inertial space
+and agree with the chaser's at the start of the step: q = p + R r, u = v + w x R r + o x q, W = w + o. Here r
+is the centre of mass in target axes and o the chaser's rate. In these axes the centre moves on a line or on a
+relative orbit, minus the displacement of the chaser by its own thrust. The body turns at a constant rate or
+without torque. At the end, the chaser's rotation C transforms to its axes, and the inverse relations lead
+back to p, v and w. The derivatives follow the same steps. The errors of q, u and W are estimate minus truth,
+like those of p, v and w.
 
-Optional further states: offset of the centre of mass from the declared one, ratios of the inertia, bias of
-the gyro and of the accelerometer. A state that no measurement observes keeps its prior.
+Optional further states: offset of the centre of mass from the declared one, ratios of the inertia, biases of
+gyro and accelerometer. A state that no measurement observes keeps its prior.
 """
 
 from dataclasses import dataclass, replace
@@ -40,17 +41,21 @@ STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, ACCELERATION_BIAS})
 """Names of the blocks of further states."""
 
 _NONE = np.zeros(3)
-"""A bias that is not estimated."""
+"""Value of a bias that is not estimated."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Extras:
-    """Values of the further states, and the places in the covariance of those that the filter has."""
+    """Values of the further states, and their slices in the covariance if the filter has them."""
 
     centre_m: FloatArray
+    """Centre of mass, target axes, shape (3,)."""
     shape: FloatArray
+    """Coefficients of the inertia's ratios, shape (2,), or (0,) if they are not estimated."""
     gyro_rad_s: FloatArray
+    """Bias of the gyro, chaser axes, shape (3,)."""
     force_m_s2: FloatArray
+    """Bias of the accelerometer, chaser axes, shape (3,)."""
     places: dict[str, slice]
 
     @classmethod
@@ -67,7 +72,7 @@ class _Extras:
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A model of motion (``MotionModel``): what moves target and chaser, as far as it is known."""
+    """A model of motion (``MotionModel``) of a free target and a chaser whose motion is known."""
 
     chaser: Chaser
     inertia: Inertia | None = None
@@ -77,12 +82,12 @@ class FreeMotion:
     uses_force: bool = True
     """Whether the chaser's measured specific force is used."""
     acceleration_density_m2_s3: float | None = None
-    """Density of the accelerations that are left; that of the filter if None."""
+    """Spectral density of the accelerations that are not modelled; None for that of the filter."""
     angular_acceleration_density_rad2_s3: float | None = None
-    """Density of the angular accelerations that are left; that of the filter if None."""
+    """Spectral density of the angular accelerations that are not modelled; None for that of the filter."""
 
     def __call__(self, state: FilterState, step_s: float, config: FilterConfig) -> Motion:
-        """Return the state after a step, and how its errors move."""
+        """Return the state after a step, and the propagation of its errors."""
         extras = _Extras.of(state)
         chaser = self.chaser.step(state.stamp_ns, state.stamp_ns + round(step_s * 1e9))
         before_rad_s = chaser.rate_before_rad_s - extras.gyro_rad_s
@@ -148,10 +153,10 @@ class FreeMotion:
         W: FloatArray,
         step_s: float,
     ) -> Curvature:
-        """Return what the second order of the target's rotation adds.
+        """Return the second-order terms of the target's rotation: a mean and a covariance.
 
-        Euler's equations are quadratic in the rate. As long as the rate or the inertia is not known well,
-        their second order counts: a rate of 8 deg/s that is assumed 0 changes by 1 deg/s2.
+        Euler's equations are quadratic in the rate. While rate or inertia is not known well, their second
+        order matters: a rate of 8 deg/s that is assumed to be 0 changes by 1 deg/s2.
         """
         if self.inertia is None:
             return FLAT
@@ -171,13 +176,13 @@ class FreeMotion:
         return curvature(R.T @ W, extras.shape, self.inertia, root, step_s)
 
     def _transition(self, chaser: ChaserStep, step_s: float) -> FloatArray:
-        """Return the transition of (q, u); on a line where the attitude in the orbital frame is unknown."""
+        """Return the transition of (q, u); without an orbit or an attitude in it, that of straight motion."""
         if self.orbit_rate_rad_s is None or chaser.R_orbit_chaser is None:
             return straight(step_s)
         return inertial_transition(self.orbit_rate_rad_s, step_s, chaser.R_orbit_chaser.T)
 
     def _noise(self, chaser: ChaserStep, step_s: float, config: FilterConfig) -> FloatArray:
-        """Return the noise of a step; where the chaser's rotation is unknown, that of the filter too."""
+        """Return the process noise of a step, with that of the filter while the chaser's turn is unknown."""
         own, filtered = (
             (self.acceleration_density_m2_s3, self.angular_acceleration_density_rad2_s3),
             (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3),
@@ -190,7 +195,7 @@ class FreeMotion:
 
 
 def _faded(state: FilterState, step_s: float, chaser: ChaserStep, turned_rad: float) -> tuple[Block, ...]:
-    """Return the blocks after a step; of the gyro's bias, what the star tracker has not taken out."""
+    """Return the blocks after a step; the gyro's bias keeps the share that no star tracker has corrected."""
     return tuple(
         replace(block, value=chaser.bias_kept * block.value) if block.name == GYRO_BIAS else block
         for block in propagated_blocks(state.blocks, step_s, turned_rad)
@@ -207,7 +212,7 @@ def _to_centre(
     w: FloatArray,
     chaser_rad_s: FloatArray,
 ) -> FloatArray:
-    """Return the derivatives of (q, theta, u, W, blocks) by those of the state, shape (12 + n, 12 + n)."""
+    """Return the Jacobian of (q, theta, u, W, blocks) with respect to the state, shape (12 + n, 12 + n)."""
     arm, spin, own = cross_matrix(arm_m), cross_matrix(w), cross_matrix(chaser_rad_s)
     T = np.eye(size)
     T[POSITION, ATTITUDE] = -arm
@@ -235,7 +240,7 @@ def _from_centre(
     w: FloatArray,
     chaser_rad_s: FloatArray,
 ) -> FloatArray:
-    """Return the derivatives of the state by (q, theta, u, W, blocks): the inverse of ``_to_centre``."""
+    """Return the Jacobian of the state with respect to (q, theta, u, W, blocks): ``_to_centre`` inverted."""
     arm, spin, own = cross_matrix(arm_m), cross_matrix(w), cross_matrix(chaser_rad_s)
     T = np.eye(size)
     T[POSITION, ATTITUDE] = arm
@@ -264,9 +269,9 @@ def _moved(
     moved: FloatArray,
     chaser: ChaserStep,
 ) -> FloatArray:
-    """Return the derivatives of (q, theta, u, W) after a step by those before, shape (12, 12 + n).
+    """Return the Jacobian of (q, theta, u, W) after a step with respect to those before, shape (12, 12 + n).
 
-    The effect of the gyro's bias on the turn C is left out; it is that of any turn of the chaser.
+    The effect of the gyro's bias on the turn C is not included; ``_by_turn`` gives that of any turn.
     """
     F = np.zeros((12, size))
     R_after = R @ body.turn  # axes at rest
@@ -290,7 +295,7 @@ def _moved(
 
 
 def _of_curvature(spread: FloatArray, R: FloatArray, W: FloatArray) -> FloatArray:
-    """Return the noise of (q, theta, u, W) that stands for the second order, shape (12, 12).
+    """Return the covariance of (q, theta, u, W) caused by the second-order terms, shape (12, 12).
 
     Args:
         spread: root of the covariance of turn and rate, body axes at the end, shape (6, K).
@@ -304,7 +309,7 @@ def _of_curvature(spread: FloatArray, R: FloatArray, W: FloatArray) -> FloatArra
 
 
 def _by_turn(q: FloatArray, u: FloatArray, W: FloatArray) -> FloatArray:
-    """Return the derivatives of (q, theta, u, W) by a turn of the chaser's axes, shape (12, 3)."""
+    """Return the Jacobian of (q, theta, u, W) with respect to a turn of the chaser's axes, shape (12, 3)."""
     by_turn = np.empty((12, 3))
     by_turn[POSITION], by_turn[ATTITUDE] = -cross_matrix(q), np.eye(3)
     by_turn[VELOCITY], by_turn[RATE] = -cross_matrix(u), -cross_matrix(W)

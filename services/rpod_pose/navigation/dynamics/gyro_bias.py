@@ -1,9 +1,9 @@
-"""The gyro's bias from the star tracker: a Kalman filter of the chaser's own attitude.
+"""Estimation of the gyro's bias from the star tracker: a Kalman filter of the chaser's own attitude.
 
-Errors, estimate minus truth: phi of the attitude A in axes at rest, A_est = Exp(phi) A, and d of the bias.
-With rates that are corrected by the estimated bias, dphi/dt = -A d. An attitude that is measured with white
-noise tells phi, and with time d (E. J. Lefferts, F. L. Markley, M. D. Shuster, Kalman Filtering for
-Spacecraft Attitude Estimation, J. Guidance 5 (1982) 417-429, in axes at rest).
+The errors are estimate minus truth: phi of the attitude A in axes at rest, A_est = Exp(phi) A, and d of the
+bias. With rates that are corrected by the estimated bias, dphi/dt = -A d. A measured attitude with white
+noise observes phi, and a sequence of them observes d (E. J. Lefferts, F. L. Markley, M. D. Shuster, Kalman
+Filtering for Spacecraft Attitude Estimation, J. Guidance 5 (1982) 417-429, in axes at rest).
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from rpod_pose.navigation.filter.rotations import exponential
 from rpod_schemas.arrays import FloatArray
 
 _PHI, _BIAS = slice(0, 3), slice(3, 6)
-"""Places of the turn and of the bias in the errors."""
+"""Components of the error vector (phi, d)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,8 +27,8 @@ class GyroBias:
     covariance: FloatArray
     """Covariance of (phi, d), shape (6, 6)."""
     K: FloatArray | None = None
-    """Attitude of the axes in which rates are integrated, in those of the star tracker at rest, shape (3, 3);
-    None before the first attitude."""
+    """Rotation matrix from the axes in which rates are integrated to the axes at rest of the star tracker,
+    shape (3, 3); None before the first attitude."""
 
     @classmethod
     def unknown(cls, sigma_rad_s: float) -> "GyroBias":
@@ -46,7 +46,7 @@ class GyroBias:
         """Return the estimate after a step.
 
         Args:
-            turned: integral of the attitude in which rates are integrated over the step, shape (3, 3).
+            turned: time integral of the attitude from integrated rates over the step, s, shape (3, 3).
             step_s: time, s.
             noise_rad2_s: square of the gyro's angular random walk.
             walk_rad2_s3: density of the random walk of the bias.
@@ -64,7 +64,7 @@ class GyroBias:
 
         Args:
             measured: attitude in axes at rest, shape (3, 3).
-            G: the same by integrated rates, in axes of their own, shape (3, 3).
+            G: the attitude from integrated rates, in the axes of the integration, shape (3, 3).
             variance: variance of the measured attitude about each axis, rad2.
         """
         if self.K is None:

@@ -2,9 +2,10 @@
 
 With G the attitude of the chaser in axes that are at rest, dG/dt = G [w]x for the measured rate w. The turn
 of a step from 0 to 1 is G1^T G0. An error d of the bias turns it by G1^T (S1 - S0) d to first order, where S
-is the integral of G. The same holds for the measured specific force: its integrals are those of G f, and the
-derivatives by its bias those of -G. Where a star tracker tells the attitude, the gyro's bias is taken out of
-the rates as far as it is known (``gyro_bias``); the bias of a step is then what is left of it.
+is the integral of G. The measured specific force f is treated in the same way: its integrals are those of
+G f, and their derivatives with respect to the bias are the integrals of -G. If a star tracker measures the
+attitude, the rates are corrected by the estimated bias of the gyro (``gyro_bias``). The bias of a step is
+then the error of this estimate.
 """
 
 from bisect import bisect_right
@@ -19,18 +20,18 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import ImuReading
 
 _GAP_S = 0.1
-"""Time between two readings beyond which the rotation between them is not known. Hand: a spacecraft's
+"""Longest time between two readings for which the rotation between them is known. Hand: a spacecraft's
 attitude control reacts within some tenths of a second."""
 _KEPT_S = 300.0
 """Time for which readings are kept. Numerics: memory; no track coasts for longer."""
 _RATE_S = 0.2
-"""Time before a stamp over which readings give the rate at the stamp. Physics: its noise is then 5 times the
-angular random walk over a second, and attitude control changes the rate little in this time."""
+"""Time before a stamp from whose readings the rate at the stamp is estimated. Physics: its noise is then 5
+times the angular random walk over a second, and attitude control changes the rate little in this time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Sum:
-    """Integrals up to a reading; force and way are those of the specific force."""
+    """Integrals up to a stamp; ``speed_m_s`` and ``way_m`` are those of the specific force."""
 
     stamp_ns: int
     rate_rad_s: FloatArray
@@ -54,14 +55,14 @@ class _Sum:
 class ImuTrack:
     """Readings of the chaser's IMU in the order of their stamps, and their integrals.
 
-    Readings after a stamp do not count for it: a step is the same whenever it is asked for, once all readings
-    up to its end are there. Between readings the last rate is assumed. More than 0.1 s after a reading, the
-    time counts as unknown.
+    A step uses no readings after its end. So its result does not depend on when it is computed, once all
+    readings up to its end have arrived. After the last reading its rate is assumed; more than 0.1 s after it,
+    the rotation counts as unknown.
 
     Args:
         noise_rad_sqrt_s: angular random walk of a gyro whose readings do not state their variance.
-        R_orbit_chaser: attitude in the orbital frame that holds where readings state none; None for unknown.
-        orbit_rate_rad_s: rate of the orbit; None where attitudes do not tell the gyro's bias.
+        R_orbit_chaser: attitude in the orbital frame, used if readings state none; None if it is unknown.
+        orbit_rate_rad_s: rate of the orbit; None if attitudes are not used to estimate the gyro's bias.
         bias_sigma_rad_s: standard deviation of the gyro's bias before any attitude.
         bias_walk_rad_s_sqrt_s: random walk of the gyro's bias.
     """
@@ -82,22 +83,22 @@ class ImuTrack:
         self._sums: list[_Sum] = []
 
     def bias_at(self, stamp_ns: int) -> GyroBias:
-        """Return the estimate of the gyro's bias by the star tracker up to a stamp."""
+        """Return the estimate of the gyro's bias from the attitudes of the star tracker up to a stamp."""
         return self._at(stamp_ns).bias if self._sums else self._unknown
 
     def covers(self, stamp_ns: int) -> bool:
-        """Return whether all readings up to a stamp are there, if they go on as before."""
+        """Return whether all readings up to a stamp have arrived, if their period stays the same."""
         if len(self._sums) < 2:
             return False
         newest_ns = self._sums[-1].stamp_ns
         return 2 * newest_ns - self._sums[-2].stamp_ns > stamp_ns
 
     def forget(self) -> None:
-        """Forget all readings, as after a clock was set back. The bias begins anew, too."""
+        """Forget all readings and the estimate of the bias, for example after a clock was set back."""
         self._sums.clear()
 
     def take(self, reading: ImuReading) -> bool:
-        """Add a reading; return whether it is newer than all before, otherwise it is not used."""
+        """Add a reading and return True; if it is not newer than all before, ignore it and return False."""
         last = self._sums[-1] if self._sums else None
         if last is not None and reading.stamp_ns <= last.stamp_ns:
             return False
@@ -130,7 +131,7 @@ class ImuTrack:
         return True
 
     def _with_attitude(self, found: _Sum, reading: ImuReading) -> _Sum:
-        """Return the integrals with the information on the bias from the reading's attitude."""
+        """Return the integrals with the bias corrected by the reading's attitude, if it has one."""
         if self._orbit_rate_rad_s is None or reading.R_orbit_chaser is None or not reading.attitude_variance:
             return found
         angle_rad = self._orbit_rate_rad_s * (reading.stamp_ns - self._begin_ns) * 1e-9
@@ -143,7 +144,7 @@ class ImuTrack:
             self._sums = self._sums[bisect_right(self._sums, oldest_ns, key=lambda each: each.stamp_ns) :]
 
     def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
-        """Return the motion between two stamps."""
+        """Return the motion between two stamps, ns."""
         if not self._sums:
             nothing, none = np.zeros((3, 3)), np.zeros(3)
             step_s = (end_ns - begin_ns) * 1e-9
@@ -188,7 +189,7 @@ class ImuTrack:
         )
 
     def _mean_rate(self, at: _Sum) -> FloatArray:
-        """Return the rate at a stamp, by a line through two means over a short time before it."""
+        """Return the rate at a stamp, extrapolated linearly from two means over a short time before it."""
         stamp_ns = at.stamp_ns - round(_RATE_S * 1e9)
         if stamp_ns <= self._sums[0].stamp_ns:
             return at.rate_rad_s - at.bias.bias_rad_s
@@ -208,7 +209,7 @@ def _extended(
     density: float,
     attitude: FloatArray | None,
 ) -> _Sum:
-    """Return the integrals at another stamp, with the mean of both ends' readings; it may lie in the past."""
+    """Return the integrals at another stamp, later or earlier, with the mean of the readings at both ends."""
     step_s = (stamp_ns - last.stamp_ns) * 1e-9
     mean_rad_s = 0.5 * (last.rate_rad_s + rate_rad_s) - last.bias.bias_rad_s
     G = last.G @ exponential(mean_rad_s * step_s)

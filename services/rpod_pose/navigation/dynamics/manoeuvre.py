@@ -1,14 +1,16 @@
-"""A target that accelerates by more than the filter expects: which accelerations explain its poses.
+"""Adaptation of the process noise to a target that accelerates more than the filter expects.
 
 The filter's process noise is that of white accelerations with the configured densities. There are two signs
 that the densities are too small for a motion: the gate refuses a pose although its frame alone proves it, or
-the innovations of accepted poses agree with each other (``followed``). Then the densities are multiplied by
-factors (adjustable level of process noise: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 2001, section 11.2). For a refused pose they are the least with which
-the innovation is as large as expected. They are raised again where, while they last, an innovation is larger
-than expected. At most, the twist becomes as uncertain in the step as where a track begins, or as the
-accelerations of a mission make it since they began. A pose that even this does not explain is wrong, or moves
-by more than the mission allows.
+successive innovations of accepted poses have the same direction (``followed``). Then the densities are
+multiplied by factors (adjustable level of process noise: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
+with Applications to Tracking and Navigation, 2001, section 11.2).
+
+For a refused pose the factors are the smallest ones with which the innovation is as large as expected. While
+they are above 1, they are raised again if an innovation is larger than expected. The factors have an upper
+bound: the twist may not become more uncertain in a step than at the beginning of a track, and not more than
+the largest accelerations of a mission can make it. A pose that even this does not explain is wrong, or the
+target moves more than the mission allows.
 """
 
 from dataclasses import replace
@@ -39,22 +41,22 @@ from rpod_schemas.messages import NANOSECONDS
 _EXPECTED = 3.0
 """Mean of the normalised innovation squared of a position or an attitude. Physics: its degrees of freedom."""
 MOST_M_S2, MOST_DEG_S2 = 3.0, 60.0
-"""Accelerations that a mission may have, m/s2 and deg/s2. Physics: those of a robot that shakes a mock-up."""
+"""Largest accelerations in a mission, m/s2 and deg/s2. Physics: those of a robot that shakes a mock-up."""
 UNNOTICED_S = 0.2
-"""Time in which such an acceleration may act before the gate refuses a pose, s. Physics: it moves the target
-by 60 mm and turns it by 1.2 deg, which is about what the gate lets pass."""
+"""Time for which such an acceleration may act before the gate refuses a pose, s. Physics: it moves the target
+by 60 mm and turns it by 1.2 deg, which is about what the gate accepts."""
 LAG_S = 1.0
-"""Time in which the weight of an innovation falls by 1/e, s. Physics: a robot or a tumbling body accelerates
-in one direction for about a second or longer; the gate meets shorter pushes."""
+"""Time in which the weight of an innovation falls to 1/e, s. Physics: a robot or a tumbling body accelerates
+in one direction for about a second or longer; the gate detects shorter pushes."""
 _SHORTEST_S = 1e-9
 """Least time between two measurements, s. Numerics: stamps are whole nanoseconds."""
 _STEPS = 1.25 ** np.arange(100.0)
-"""Factors that are tried, up to 4e9. Numerics: a quarter more variance each is 12 % of a standard
-deviation."""
+"""Factors that are tried, up to 4e9. Numerics: each has a quarter more variance, so the standard deviation
+grows by 12 %."""
 
 
 class _Grown(NamedTuple):
-    """Covariance that larger accelerations add to an innovation, for each unit of the factors."""
+    """Covariance that larger accelerations add to an innovation when a factor is doubled, shape (6, 6)."""
 
     by_acceleration: FloatArray
     by_angular: FloatArray
@@ -63,8 +65,8 @@ class _Grown(NamedTuple):
 def is_expected(found: Update, predicted: FilterState) -> bool:
     """Return whether a measured pose gives no evidence of larger accelerations than a prediction assumes.
 
-    The gate decides where a manoeuvre begins. While one lasts, poses are compared with the mean instead: the
-    factors follow the target at once, since a lag within the gate grows from frame to frame.
+    The gate decides when a manoeuvre begins. During a manoeuvre the NIS is compared with its mean instead.
+    So the factors follow the target at once: a lag within the gate would grow from frame to frame.
     """
     if not isfinite(found.nis):
         return True
@@ -74,7 +76,7 @@ def is_expected(found: Update, predicted: FilterState) -> bool:
 def explaining(
     before: FilterState, predicted: FilterState, measured: PoseMeasurement, config: FilterConfig
 ) -> Manoeuvre | None:
-    """Return the least factors that explain a refused pose within the bound; None if none do.
+    """Return the least factors that explain a refused pose, within the bound; None if they do not change.
 
     Args:
         before: the state from which the pose was predicted.
@@ -96,7 +98,8 @@ def needed(
 ) -> Manoeuvre:
     """Return the least factors with which an innovation is as large as expected, without a bound.
 
-    The target's rotation counts first, since it moves the origin too. Arguments as for ``explaining``.
+    The factor of the rotation is determined first, since a rotation also moves the origin. Arguments as for
+    ``explaining``.
     """
     found = compared(predicted, measured, config)
     grown = _grown(before, predicted, config)
@@ -112,16 +115,18 @@ def followed(
 ) -> FilterState:
     """Return the state after an accepted pose, with the factors that follow from it.
 
-    Those of a refused pose are halved. The innovations of a filter that keeps up with the target are
-    independent of each other. Where their sum is beyond the gate, the estimate lags behind the target within
-    the gate of each pose. The factor of a lag is then multiplied by the sum's normalised square over the
-    expected one, and the sum begins anew. Otherwise it falls to 1: it is halved too, but not faster than its
-    logarithm falls in ``LAG_S``.
+    The factors of an earlier refused pose are halved.
+
+    The innovations of a filter without a lag are independent of each other. If their weighted sum is beyond
+    the gate, the estimate lags behind the target, although each pose is within the gate. Then the factor of
+    the lag is multiplied by the sum's normalised square over the expected one, and a new sum begins.
+    Otherwise this factor decreases to 1: it is halved at each pose, too, but its logarithm falls to about 1/e
+    in ``LAG_S`` at the fastest.
 
     Args:
-        before: the state after the measurement before.
+        before: the state after the previous measurement.
         found: the update.
-        measured: the pose; if its frame does not prove it, it raises no factor.
+        measured: the pose; if its frame alone does not prove it, it raises no factor.
         config: the filter's configuration.
     """
     state = found.state
@@ -144,7 +149,7 @@ def followed(
 
 
 def _added(before: InnovationSum, innovation: Innovation, part: slice, keep: float) -> InnovationSum:
-    """Return a sum, whose innovations keep a share of their weight, with those of one more pose."""
+    """Return a sum with one more innovation; the earlier ones keep the share ``keep`` of their weight."""
     off, covariance = innovation.difference[part], innovation.covariance[part, part]
     return InnovationSum(
         keep * before.difference + off,
@@ -158,9 +163,9 @@ def _added(before: InnovationSum, innovation: Innovation, part: slice, keep: flo
 def _excess(found: InnovationSum, lasting: FloatArray, config: FilterConfig) -> float:
     """Return the normalised square of a sum over the expected one; 0 if it is within the gate.
 
-    Errors that last are in all innovations of the sum, as far as they change. Poses that are noisier than
-    they state do not count as a lag either: where the innovations' own squares are larger than expected, so
-    may be the sum's.
+    Errors that last are the same in all innovations of the sum, so they are no lag. Poses that are noisier
+    than they state are no lag either: if the innovations' own squares are larger than expected, the expected
+    square of the sum is larger by the same factor.
 
     Args:
         found: the sum.
@@ -178,7 +183,7 @@ def _square(difference: FloatArray, covariance: FloatArray) -> float:
 
 
 def _bound(step_s: float, config: FilterConfig) -> Manoeuvre:
-    """Return the greatest factors in a step, s, with which the twist is as uncertain as a mission allows."""
+    """Return the largest factors in a step of ``step_s`` seconds, which limit the variance of the twist."""
     each_axis_s = max(step_s, UNNOTICED_S) / sqrt(3.0)
     most_m_s = min(config.initial_velocity_sigma_m_s, MOST_M_S2 * each_axis_s)
     most_rad_s = radians(min(config.initial_rate_sigma_deg_s, MOST_DEG_S2 * each_axis_s))
@@ -189,7 +194,7 @@ def _bound(step_s: float, config: FilterConfig) -> Manoeuvre:
 
 
 def _grown(before: FilterState, predicted: FilterState, config: FilterConfig) -> _Grown:
-    """Return what a doubling of each factor adds to the covariance of the predicted pose."""
+    """Return the covariance that a doubling of each factor adds to that of the predicted pose."""
     acceleration, angular = before.factors
 
     def added(manoeuvre: Manoeuvre) -> FloatArray:
@@ -203,7 +208,7 @@ def _grown(before: FilterState, predicted: FilterState, config: FilterConfig) ->
 
 
 def _least(difference: FloatArray, S: FloatArray, grown: FloatArray, part: slice) -> float:
-    """Return the least factor with which a part of an innovation is as large as expected; inf if none is."""
+    """Return the least factor with which a part of an innovation is as large as expected; inf for none."""
     off = difference[part]
     for factor in _STEPS:
         if _square(off, (S + (factor - 1.0) * grown)[part, part]) <= _EXPECTED:

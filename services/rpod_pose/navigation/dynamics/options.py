@@ -1,4 +1,4 @@
-"""The model of motion and the further states that a configuration asks for."""
+"""Creation of the model of motion, with its further states, from the configuration."""
 
 from dataclasses import dataclass, replace
 from math import pi, radians
@@ -24,7 +24,7 @@ from rpod_target import Equivalence, Target
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Prediction of tracks: the model, and its states before any measurement."""
+    """Prediction of tracks: the model of motion, and the initial values of its further states."""
 
     model: MotionModel | None = None
     """Model of the motion; None for constant velocity and rate as seen from the chaser."""
@@ -33,7 +33,7 @@ class Dynamics:
     imu: ImuTrack | None = None
     """Readings of the chaser's IMU, for a model that uses them."""
     assumption: str = ""
-    """Assumptions that the configuration does not state; empty if there is none."""
+    """Assumption about the chaser's motion that is made without an IMU, with the remedy; empty if none."""
 
     def blocks_at(self, stamp_ns: int) -> tuple[Block, ...]:
         """Return the further states of a track that begins at a stamp."""
@@ -49,7 +49,8 @@ class Dynamics:
         """Return the dynamics of a configuration and a target.
 
         Raises:
-            ConfigurationError: the rotation of the target about a free axis is not observable.
+            ConfigurationError: torque-free rotation is configured for a target with a free axis, about which
+                the rate is not observable.
         """
         return cls() if config.is_default else _free(config, target)
 
@@ -59,9 +60,10 @@ CONSTANT = Dynamics()
 
 
 def evidence_of(state: FilterState) -> dict[str, float]:
-    """Return size and standard deviation of a model's further states, by name, for the status.
+    """Return norm and largest standard deviation of each block of further states, by name, for the status.
 
-    While the target moves by more than the filter expects, the factors on the densities of accelerations too.
+    If the target moves more than the filter expects, the factors on the densities of accelerations are
+    included.
     """
     places, found = state.places(), {}
     if (factors := state.factors) != CALM:
@@ -119,7 +121,7 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
     assumption = (
         ""
         if imu is not None
-        else f"dynamics: the chaser is taken to hold its attitude {held}; if it turns, "
+        else f"dynamics: the chaser is assumed to hold its attitude {held}; if it turns, "
         "the estimates are worse than their covariance: set dynamics.imu"
     )
     return Dynamics(model, tuple(blocks), imu, assumption)
@@ -134,6 +136,6 @@ def _require_observable(config: DynamicsConfig, alike: Equivalence) -> None:
         raise ConfigurationError(
             "estimator",
             "dynamics.target",
-            "torque_free needs the rate about every axis, but the target has a free axis, about which no "
-            "measurement tells it; leave constant_rate",
+            "torque_free needs the rate about every axis, but the target has a free axis, and no measurement "
+            "observes the rate about it; use constant_rate",
         )

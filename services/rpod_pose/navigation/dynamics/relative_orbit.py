@@ -15,7 +15,7 @@ from rpod_schemas.arrays import FloatArray
 
 
 def transition(rate_rad_s: float, step_s: float) -> FloatArray:
-    """Return the transition of (d, d') in the turning axes of the orbital frame, shape (6, 6).
+    """Return the transition matrix of (d, d') in the turning axes of the orbital frame, shape (6, 6).
 
     Args:
         rate_rad_s: rate n of the orbit; 0 for straight motion.
@@ -40,9 +40,9 @@ def transition(rate_rad_s: float, step_s: float) -> FloatArray:
 
 
 def inertial_transition(rate_rad_s: float, step_s: float, R_chaser_orbit: FloatArray) -> FloatArray:
-    """Return the transition of position and velocity relative to inertial space, shape (6, 6).
+    """Return the transition matrix of position and velocity relative to inertial space, shape (6, 6).
 
-    Both are given in axes at rest in inertial space that agree with the chaser's at the start.
+    Both are in axes that are at rest in inertial space and agree with the chaser's axes at the start.
 
     Args:
         rate_rad_s: rate of the orbit.
@@ -63,7 +63,7 @@ def inertial_transition(rate_rad_s: float, step_s: float, R_chaser_orbit: FloatA
 
 
 def straight(step_s: float) -> FloatArray:
-    """Return the transition of position and velocity without any acceleration, shape (6, 6)."""
+    """Return the transition matrix of position and velocity without any acceleration, shape (6, 6)."""
     moved = np.eye(6)
     moved[:3, 3:] = step_s * np.eye(3)
     return moved

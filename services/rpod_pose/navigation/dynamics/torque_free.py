@@ -1,14 +1,15 @@
 """Rotation of a rigid body without torque, with its derivatives.
 
 Euler's equations in body axes read J dw/dt = -w x J w, the attitude follows from dM/dt = M [w]x, M(0) = 1.
-They and their derivatives by the rate at the start and by the inertia are integrated together, by the
-classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
+They are integrated together with their derivatives with respect to the initial rate and to the inertia, by
+the classical method of Runge and Kutta (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
 Equations I, section II.1).
 
 Without torque the scale of the inertia does not matter, and its principal axes are taken as declared, so two
-ratios are left. With the principal moments J_i of the declared inertia they are the coefficients c of
-J_i exp(S_i), where S is the sum of two orthogonal vectors of norm 1 and sum 0. So each c leaves the moments
-positive, and c = 0 is the declared inertia. One moment that is wrong by a share e has |c| of about 0.8 e.
+ratios remain. With the principal moments J_i of the declared inertia, the moments in use are J_i exp(S_i),
+where S = c_1 e_1 + c_2 e_2 and e_1, e_2 are orthogonal vectors of norm 1 and sum 0. So the moments are
+positive for any coefficients c, and c = 0 is the declared inertia. If one moment is wrong by a share e, |c|
+is about 0.8 e.
 """
 
 from dataclasses import dataclass, field
@@ -22,18 +23,18 @@ from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, lef
 from rpod_schemas.arrays import FloatArray
 
 RATIOS = 2
-"""Number of coefficients of an inertia's ratios. Physics: three moments, whose common factor no motion
-without torque shows."""
+"""Number of coefficients of an inertia's ratios. Physics: there are three moments, and their common factor
+has no effect on a motion without torque."""
 _BASIS = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
 """Orthonormal changes of the logarithms of three moments. Physics: they keep the product, which no motion
-shows."""
+without torque shows."""
 _STEP_RAD = 0.1
 """Largest turn in a step of the integration. Numerics: the error of a step is about 1e-7 rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """The declared inertia of a body, and what its ratios may be instead.
+    """The declared inertia of a body, and the inertias with other ratios of the moments.
 
     Args:
         declared_kg_m2: inertia about the centre of mass, target axes, shape (3, 3).
@@ -43,12 +44,12 @@ class Inertia:
 
     @cached_property
     def _principal(self) -> tuple[FloatArray, FloatArray]:
-        """Principal moments by their sum, shape (3,), and axes, in the columns, shape (3, 3)."""
+        """Principal moments over their sum, shape (3,), and principal axes as columns, shape (3, 3)."""
         moments, axes = np.linalg.eigh(self.declared_kg_m2 / np.trace(self.declared_kg_m2))
         return moments, axes
 
     def shaped(self, coefficients: FloatArray) -> "Shape":
-        """Return the inertia of coefficients, shape (2,), or (0,) for the declared one."""
+        """Return the inertia for coefficients, shape (2,); shape (0,) gives the declared inertia."""
         moments, axes = self._principal
         used = _BASIS[: len(coefficients)]
         shaped: FloatArray = moments * np.exp(coefficients @ used)
@@ -56,38 +57,37 @@ class Inertia:
 
 
 class Shape(NamedTuple):
-    """An inertia of any scale, and its derivatives by the coefficients."""
+    """An inertia of any scale, and its derivatives with respect to the coefficients."""
 
     J: FloatArray
-    """Inertia, shape (3, 3)."""
+    """Inertia, target axes, shape (3, 3)."""
     by_coefficient: FloatArray
-    """Derivatives of J, shape (2, 3, 3), or (0, 3, 3) where the ratios are no
-    states."""
+    """Derivatives of J, shape (2, 3, 3), or (0, 3, 3) if the ratios are not estimated."""
 
 
 class Turned(NamedTuple):
-    """Rotation of a body in a time, and its derivatives, all in body axes.
+    """Rotation of a body in a step, and its derivatives, all in body axes.
 
-    The errors of the turn are right ones: M_estimated = M_true Exp(error), in axes at the end.
+    Errors of the turn are right-multiplied, in axes at the end: M_estimated = M_true Exp(error).
     """
 
     turn: FloatArray
-    """M, shape (3, 3): coordinates in body axes at the end to those in body axes at the start."""
+    """Rotation matrix M from body axes at the end to body axes at the start, shape (3, 3)."""
     rate_rad_s: FloatArray
     """Rate relative to inertial space at the end, shape (3,)."""
     turn_by_rate: FloatArray
-    """Derivatives of the turn by the rate at the start, shape (3, 3)."""
+    """Derivatives of the turn with respect to the rate at the start, shape (3, 3)."""
     rate_by_rate: FloatArray
-    """Derivatives of the rate by the rate at the start, shape (3, 3)."""
+    """Derivatives of the rate with respect to the rate at the start, shape (3, 3)."""
     turn_by_shape: FloatArray
-    """Derivatives of the turn by the coefficients of the inertia, shape (3, K)."""
+    """Derivatives of the turn with respect to the coefficients of the inertia, shape (3, K)."""
     rate_by_shape: FloatArray
-    """Derivatives of the rate by the coefficients of the inertia, shape (3, K)."""
+    """Derivatives of the rate with respect to the coefficients of the inertia, shape (3, K)."""
 
 
 @dataclass
 class _Integration:
-    """State of the integration; ``slope`` is its derivative by time."""
+    """Right-hand side of the integrated differential equations, for an inertia."""
 
     shape: Shape
     inverse: FloatArray = field(init=False)
@@ -96,7 +96,7 @@ class _Integration:
         self.inverse = np.linalg.inv(self.shape.J).astype(np.float64)
 
     def slope(self, y: FloatArray) -> FloatArray:
-        """Return dy/dt of y = (quaternion x y z w, rate, [rate by] and [turn by] all, row by row)."""
+        """Return dy/dt of y = (quaternion x y z w, rate, derivatives of rate and of turn, row by row)."""
         quaternion, w = y[:4], y[4:7]
         by_all = y[7:].reshape(2, 3, -1)
         J, parts = self.shape
@@ -113,7 +113,7 @@ class _Integration:
 
 
 def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
-    """Return the rotation without torque in a time.
+    """Return the rotation without torque in a step.
 
     Args:
         rate_rad_s: rate relative to inertial space at the start, body axes, shape (3,).
@@ -144,28 +144,28 @@ def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
 
 
 class Curvature(NamedTuple):
-    """Change of a turn and a rate by the second order of the motion, body axes at the end."""
+    """Change of turn and rate by the second-order terms of the motion, body axes at the end."""
 
     mean: FloatArray
-    """Mean of turn, as a vector, and rate, shape (6,)."""
+    """Mean change of the turn, as a rotation vector, and of the rate, shape (6,)."""
     spread: FloatArray
-    """Matrix whose product with its transpose is the covariance, shape (6, K)."""
+    """Root of the covariance of the change: the covariance is spread spread^T, shape (6, K)."""
 
 
 FLAT = Curvature(np.zeros(6), np.zeros((6, 0)))
-"""No second order."""
+"""Curvature of a motion whose second-order terms are negligible."""
 
 
 def curvature(
     rate_rad_s: FloatArray, coefficients: FloatArray, inertia: Inertia, root: FloatArray, step_s: float
 ) -> Curvature:
-    """Return the second order of the motion over a normal distribution of rate and inertia.
+    """Return the second-order terms of the motion for a normal distribution of rate and inertia.
 
     With second differences D over h = sqrt(3) standard deviations along the columns i and j of a root of the
-    covariance, D_ij = h^2 H_ij, the mean is sum H_ii / 2, the covariance sum H_ij H_ij^T / 2 over all i, j
-    (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems,
-    Automatica 36 (2000) 1627-1638). The mixed ones count: those of Euler's equations along principal axes are
-    the only ones.
+    covariance, D_ij = h^2 H_ij, the mean is sum H_ii / 2, and the covariance is sum H_ij H_ij^T / 2 over all
+    i, j (M. Norgaard, N. K. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems,
+    Automatica 36 (2000) 1627-1638). The mixed terms are needed: along principal axes, Euler's equations have
+    no others.
 
     Args:
         rate_rad_s: rate at the start, body axes, shape (3,).
@@ -188,7 +188,7 @@ def curvature(
 
 
 def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return turns, shape (P, 3, 3), and rates, shape (P, 3), of bodies after a time, by the same method."""
+    """Return turns, shape (P, 3, 3), and rates, shape (P, 3), of P bodies after a step without torque."""
     inverse = np.linalg.inv(J)
 
     def slope(q: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:

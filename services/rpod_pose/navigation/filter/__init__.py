@@ -1,19 +1,19 @@
 """Error-state Kalman filter of pose, twist and further states, with measurements that may come late.
 
 State: position p and attitude R of the target in chaser axes, v = dp/dt, and w with dR/dt = [w]x R. Error,
-all in chaser axes: (dp, dtheta, dv, dw), estimate minus truth, dtheta = Log(R_est R^T): the pose block of
-the covariance is the one that the ICD publishes (section 1). Behind these twelve there may be named blocks
-of further states (``blocks``), whose errors are estimate minus truth too. Values are immutable, functions
-are pure.
+all in chaser axes: (dp, dtheta, dv, dw), estimate minus truth, dtheta = Log(R_est R^T). The pose block of
+the covariance is published as it is (ICD section 1). After these twelve states there may be named blocks of
+further states (``blocks``), whose errors are estimate minus truth too. Values are immutable, functions are
+pure.
 
 After an update by delta the attitude error is left-multiplied by J_l(delta). Source: J. Sola, Quaternion
 kinematics for the error-state Kalman filter, arXiv:1711.02508, section 7 (errors in global axes), with J_l
 in place of its first-order terms.
 
-Where every turn about an axis of the target is a symmetry, the angle about this free axis is a convention. No
-prediction and no update turns the target about it. Its variance is 0 inside the filter, and that of an
+If every rotation about an axis of the target is a symmetry, the angle about this free axis is a convention.
+No prediction and no update turns the target about it. Its variance is 0 inside the filter, and that of an
 unknown angle in the published covariance. The rate about the axis is 0, with the variance of an unknown rate.
-A sphere has three such axes: its position alone is estimated.
+A sphere has three such axes: only its position is estimated.
 """
 
 from rpod_pose.navigation.filter.blocks import Block

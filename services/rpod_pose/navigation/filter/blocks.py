@@ -1,12 +1,12 @@
-"""Blocks of further states behind pose and twist: errors that last from frame to frame, or unknown constants.
+"""Blocks of further states after pose and twist: errors that last from frame to frame, or unknown constants.
 
-A block is a vector of states with a first-order Gauss-Markov process of its own: within a time t, and while
-the target is turned by an angle a as the sensors see it, its states forget all but exp(-t / T - a / A) of
-their values, and noise keeps their standard deviation. A constant has infinite T and A.
+A block is a vector of states with a first-order Gauss-Markov process of its own. In a time t, and while the
+target turns by an angle a relative to the line of sight, the values of its states are multiplied by
+exp(-t / T - a / A), and noise keeps their standard deviation. A constant has infinite T and A.
 
-A considered block is not estimated: its gain is zero, but its covariances with all other states are carried
-(S. F. Schmidt, Application of State-Space Methods to Navigation Problems, Advances in Control Systems 3,
-1966). So an error that many frames share does not average out in the covariance.
+A considered block is not estimated: its gain is zero, but its covariances with all other states are
+propagated (S. F. Schmidt, Application of State-Space Methods to Navigation Problems, Advances in Control
+Systems 3, 1966). So an error that many frames share does not average out in the covariance.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ import numpy as np
 from rpod_schemas.arrays import FloatArray
 
 ALIKE_RAD = 0.1
-"""Turn of the view after which covariances of an earlier view count less by 1/e. Physics: after it, the
-cosines by which faces count have changed by a tenth."""
+"""Rotation of the target relative to the line of sight after which covariances of the earlier view have 1/e
+of their weight. Physics: after it, the cosines by which faces are weighted have changed by a tenth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +32,16 @@ class Block:
     sigma: FloatArray
     """Standard deviation of each state before any measurement, and in the long run, shape (size,)."""
     time_constant_s: float = inf
-    """Time after which the correlation of a state with itself is 1/e; 0 for a state that is new each time."""
+    """Time after which the autocorrelation of a state is 1/e; 0 for a state that is independent each time."""
     turn_rad: float = inf
-    """The same for the angle by which the target has turned, as the sensors see it."""
+    """Rotation of the target relative to the line of sight after which the autocorrelation is 1/e."""
     considered: bool = False
     """Whether the block is only considered: no measurement changes its value."""
     spread: FloatArray | None = None
-    """Covariance of the error that a considered block stands for, as the measurements of this view state it
-    on average, in the axes to which the error is fixed, shape (6, 6); None for any other block."""
+    """Covariance of the error that a considered block stands for, averaged over the measurements of this
+    view, in the axes to which the error is fixed, shape (6, 6); None for any other block."""
     weight: float = 0.0
-    """Number of these measurements; those of an earlier view count less."""
+    """Number of averaged measurements; those of an earlier view count less."""
 
     @property
     def size(self) -> int:
@@ -61,7 +61,7 @@ def _periods(length: float, constant: float) -> float:
 
 
 def placed(blocks: Sequence[Block], first: int) -> Iterator[tuple[Block, slice]]:
-    """Yield each block with the place of its states in the covariance, from the index ``first`` on."""
+    """Yield each block with the slice of its states in the covariance; the first begins at ``first``."""
     for block in blocks:
         yield block, slice(first, first + block.size)
         first += block.size
@@ -73,7 +73,7 @@ def variances(blocks: Sequence[Block]) -> FloatArray:
 
 
 def unknown(blocks: Sequence[Block]) -> tuple[Block, ...]:
-    """Return the blocks as before any measurement."""
+    """Return the blocks with the values before any measurement, zero."""
     return tuple(replace(block, value=np.zeros(block.size)) for block in blocks)
 
 
@@ -91,14 +91,14 @@ def _propagated(block: Block, step_s: float, turn_rad: float) -> Block:
 
 
 def averaged(block: Block, known: Block | None) -> Block:
-    """Return a considered block whose covariance is that of a measurement and of those before it.
+    """Return a considered block with the average covariance of a measurement and of the earlier ones.
 
-    The frames of one view state one error, but each states its covariance with noise of its own. If the block
-    followed each of them, the filter would take their differences for knowledge of the error.
+    The frames of one view share one error, but each states its covariance with noise. If the block followed
+    each of them, the filter would take the differences for knowledge about the error.
 
     Args:
         block: the block with the covariance that the measurement states.
-        known: the same block as it is known from earlier measurements; None if there is none.
+        known: the same block after the earlier measurements; None if there is none.
     """
     if block.spread is None or known is None or known.spread is None:
         return replace(block, weight=1.0)

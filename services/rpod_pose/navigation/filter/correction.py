@@ -21,8 +21,8 @@ from rpod_schemas.poses import rotation_matrix, rotation_of
 from rpod_target import Equivalence
 
 Sensitivities = Mapping[str, FloatArray]
-"""Derivatives of a measured pose's (dp, dtheta) by the states of blocks, shape (6, size), by the block's
-name. A block that is not named does not move the measurement."""
+"""Derivatives of a measured pose's (dp, dtheta) with respect to the states of blocks, shape (6, size), by the
+block's name. The measurement does not depend on a block that is not named."""
 NOTHING: Sensitivities = MappingProxyType({})
 """Sensitivities of a pose that depends on no block."""
 
@@ -36,7 +36,7 @@ class Update(NamedTuple):
     """Normalised innovation squared; NaN if the measurement is not finite."""
     accepted: bool
     innovation: "Innovation"
-    """Innovation that the gate has accepted or rejected."""
+    """Innovation that the gate has tested."""
 
 
 class Innovation(NamedTuple):
@@ -47,12 +47,12 @@ class Innovation(NamedTuple):
     covariance: FloatArray
     """Covariance of the difference, shape (6, 6)."""
     noise: FloatArray
-    """Part of it that is the measurement's own noise, shape (6, 6)."""
+    """Part of ``covariance`` that is the measurement's own noise, shape (6, 6)."""
     lasting: FloatArray
-    """Covariance of the errors that the measurement shares with others by the states of blocks, shape
+    """Covariance of the errors that the measurement shares with others through the states of blocks, shape
     (6, 6)."""
     H: FloatArray
-    """Derivatives of the measurement by the states, shape (6, 12 + n)."""
+    """Derivatives of the measurement with respect to the states, shape (6, 12 + n)."""
     cross: FloatArray
     """Covariance of the predicted measurement with the states, shape (6, 12 + n)."""
 
@@ -91,9 +91,9 @@ def innovation_of(
 
 
 def grown(state: FilterState, blocks: Sequence[Block]) -> FilterState:
-    """Return a state with further blocks, as before any measurement.
+    """Return a state with further blocks at their initial values.
 
-    Those that the state has are kept, with the constants that are given now.
+    Blocks that the state already has keep their values, and take the other fields of the given ones.
     """
     given = {block.name: block for block in blocks}
     old = tuple(
@@ -125,18 +125,18 @@ def update(
     """Return the state after a pose measured at the state's stamp, unless the gate rejects it.
 
     Attitudes that no measurement distinguishes from the measured one are equivalent to it: the nearest of
-    them is used, and the angle about a free axis is ignored. Considered blocks have no gain; the covariance
-    is that of the gain in use (Joseph's form).
+    them is used, and the angle about a free axis is ignored. Considered blocks have a gain of zero.
+    Therefore the covariance is computed in Joseph's form, which holds for any gain.
 
     Args:
         state: state predicted to the measurement's stamp.
         T_chaser_target: the measured pose.
-        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6), without what comes from the
-            states of blocks; rejected if not finite.
+        covariance: covariance of its (dp, dtheta), ICD section 1, shape (6, 6), without the errors that are
+            states of blocks; the pose is rejected if it is not finite.
         config: noise floor, inflation and gate.
         sensitivities: how the measured pose depends on the states of blocks.
-        white: whether the covariance is that of the frame's own noise alone: without floors and inflation.
-        since_s: time since the sensor's frame before it, s, on which the inflation depends.
+        white: whether the covariance is that of noise alone; then it gets neither floors nor inflation.
+        since_s: time since the sensor's previous frame, s, on which the inflation depends.
     """
     found = innovation_of(
         state,
@@ -182,23 +182,23 @@ def is_consistent(state: FilterState, other: FilterState, config: FilterConfig) 
 
 
 def gate_nis(state: FilterState, config: FilterConfig) -> float:
-    """Return the largest accepted normalised innovation squared, for as many directions as are observed."""
+    """Return the largest accepted normalised innovation squared, for the state's degrees of freedom."""
     return gate_of(config, state.alike.dof)
 
 
 def gate_of(config: FilterConfig, dof: int) -> float:
-    """Return the gate of a normalised square of as many directions."""
+    """Return the largest accepted normalised square with ``dof`` degrees of freedom."""
     return _gate(config.tuning.gate_nis, dof)
 
 
 def measurement_noise(covariance: FloatArray, config: FilterConfig, since_s: float = inf) -> FloatArray:
-    """Return the covariance of a measured pose with the floors and the inflation, shape (6, 6)."""
+    """Return the covariance of a measured pose after floors and inflation, shape (6, 6)."""
     floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
     return config.inflation(since_s) * (covariance + np.diag(floor))
 
 
 def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:
-    """Return the part of a sensitivity, shape (6, size), that turns the target about no free axis.
+    """Return a sensitivity, shape (6, size), without rotations about free axes.
 
     Args:
         sensitivity: derivatives of (dp, dtheta).
@@ -228,5 +228,5 @@ def pose_difference(
 
 @cache
 def _gate(gate_nis: float, dof: int) -> float:
-    """Return the quantile of chi-squared that is as probable as the gate is with six degrees of freedom."""
+    """Return the quantile of chi-squared whose probability is that of the gate with 6 degrees of freedom."""
     return gate_nis if dof == 6 else 2.0 * float(gammaincinv(dof / 2.0, float(gammainc(3.0, gate_nis / 2.0))))

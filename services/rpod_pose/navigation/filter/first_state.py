@@ -45,9 +45,9 @@ def start(
         stamp_ns: time of the measurement.
         config: noise of the filter.
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
-            Of a target with a free axis, the part along this axis counts, and of a sphere none.
+            For a target with one free axis only the component along this axis is used, for a sphere none.
         alike: which attitudes of the target no measurement distinguishes.
-        blocks: further states, as before any measurement.
+        blocks: further states, with their initial values.
         sensitivities: how the measured pose depends on them, as in ``update``.
         white: as in ``update``.
         model: model of the motion; None for constant velocity and rate.
@@ -85,8 +85,8 @@ def start(
 def _with_blocks(covariance: FloatArray, blocks: Sequence[Block], sensitivities: Sensitivities) -> FloatArray:
     """Return the covariance of pose, twist and blocks, shape (12 + n, 12 + n).
 
-    The measured pose is the true one moved by H b and noise. If it is taken for the pose, whose states b are
-    then 0, the errors of the pose are -H times those of b, and noise.
+    The measured pose is the true pose displaced by H b and by noise. The state takes the measured pose and
+    b = 0. So the error of the pose is -H times the error of b, plus noise.
     """
     whole = block_diag(covariance, np.diag(variances(blocks)))
     moved = np.eye(len(whole))

@@ -1,9 +1,9 @@
 """Prediction of a state to a later time, by a model of motion.
 
-A model of motion (``MotionModel``) gives the state after a step, and how its errors move. The errors after
-the step are A (F e + q): F moves them, q is noise of covariance Q, and A applies to both. All three are of
-shape (12 + n, 12 + n); a model with states of its own fills their rows and columns, and leaves those of other
-blocks to ``of_blocks``.
+A model of motion (``MotionModel``) gives the state after a step, and the propagation of its errors e. The
+errors after the step are A (F e + q), where q is noise of covariance Q. A, F and Q have the shape
+(12 + n, 12 + n). A model with states of its own fills their rows and columns; ``of_blocks`` fills those of
+the other blocks.
 """
 
 from dataclasses import replace
@@ -32,10 +32,13 @@ from rpod_schemas.poses import pose_of, rotation_matrix
 
 
 class StampOrderError(PoseError):
-    """The prediction would go back in time."""
+    """A prediction to a stamp before the state's own."""
 
     def __init__(self, state_ns: int, asked_ns: int) -> None:
-        super().__init__(f"the state is of {state_ns} ns and cannot be predicted back to {asked_ns} ns")
+        super().__init__(
+            f"stamp_ns: a state of {state_ns} ns cannot be predicted back to {asked_ns} ns; "
+            "start from an earlier state (History.before)"
+        )
 
 
 def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterState:
@@ -74,12 +77,12 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
     """Return the motion with a constant velocity of the centre of mass and a constant rate.
 
     Both are random walks. With phi = w dt the error propagates, to first order in itself and exactly in phi,
-    as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left Jacobian of SO(3)). The origin's rotation
-    about the centre of mass, at R r from it, is kinematics, not noise: the state is transformed to the centre
-    by p + R r and v + w x R r, propagated, and transformed back. With a = [R r]x before and b = [R r]x after
-    the step, errors at the centre are 1 + N(a) times those at the origin, where N(a) has -a for (dp by
-    dtheta) and (dv by dw), and -[w]x a for (dv by dtheta). F is (1 - N(b)) A (1 + N(a)), block by block; A
-    propagates errors at the centre.
+    as dtheta+ = Exp(phi) dtheta + J_l(phi) dt dw (J_l is the left Jacobian of SO(3)). The centre of mass is
+    at R r from the origin, and the origin's rotation about it is deterministic. So the state is transformed
+    to the centre by p + R r and v + w x R r, propagated, and transformed back. With a = [R r]x before and
+    b = [R r]x after the step, errors at the centre are 1 + N(a) times those at the origin. N(a) has -a for
+    (dp by dtheta) and (dv by dw), and -[w]x a for (dv by dtheta). F is (1 - N(b)) A (1 + N(a)), block by
+    block; A propagates errors at the centre.
     """
     spin, R = cross_matrix(state.rate_rad_s), rotation_matrix(state.T_chaser_target)
     phi = state.rate_rad_s * step_s
@@ -119,7 +122,7 @@ def constant_twist(state: FilterState, step_s: float, config: FilterConfig) -> M
 def of_blocks(state: FilterState, step_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return F and Q of a step, shape (12 + n, 12 + n), with the entries of the blocks alone.
 
-    The twelve states of pose and twist stand still in this F, and have no noise. ``turned_rad`` is
+    For the twelve states of pose and twist, this F is the identity and this Q is zero. ``turned_rad`` is
     ``turn_of_view_rad`` of the step.
     """
     F, Q = np.eye(state.size), np.zeros((state.size, state.size))
@@ -131,11 +134,11 @@ def of_blocks(state: FilterState, step_s: float, turned_rad: float) -> tuple[Flo
 
 
 def turn_of_view_rad(state: FilterState, step_s: float) -> float:
-    """Return by how much the view of the target changes in a step, rad.
+    """Return the angle by which the view of the target changes in a step, rad.
 
-    The line of sight is that from the chaser's origin. The target turns against it by w less the line's own
-    rate p x v / p^2. It also grows, by the share p . v / p^2: at its rim that moves the image as much as a
-    turn by that angle.
+    The line of sight begins at the chaser's origin. Relative to it, the target turns at w minus the line's
+    own rate p x v / p^2. The image also changes its size, at the relative rate p . v / p^2. At the rim of the
+    target this moves the image as far as a rotation at that rate.
     """
     (x, y, z), (u, v, w) = state.T_chaser_target.translation.tolist(), state.velocity_m_s.tolist()
     p, q, r = state.rate_rad_s.tolist()
@@ -145,7 +148,7 @@ def turn_of_view_rad(state: FilterState, step_s: float) -> float:
 
 
 def process_noise(step_s: float, acceleration_m2_s3: float, angular_rad2_s3: float) -> FloatArray:
-    """Return the noise that white accelerations of two densities cause in a step, shape (12, 12)."""
+    """Return the process noise of a step by white accelerations of two spectral densities, shape (12, 12)."""
     density = np.array([acceleration_m2_s3] * 3 + [angular_rad2_s3] * 3)
     Q, pose, twist = np.zeros((12, 12)), np.arange(6), np.arange(6, 12)
     Q[pose, pose] = step_s**3 / 3.0 * density

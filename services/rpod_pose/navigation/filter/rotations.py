@@ -1,6 +1,6 @@
 """Rotations and their derivatives, as the filter needs them.
 
-They are computed number by number: for three components numpy's calls take several times as long.
+They are computed component by component: for three components, calls of numpy take several times as long.
 """
 
 from math import hypot, sin
@@ -42,7 +42,7 @@ def _one_plus(first: float, second: float, phi: FloatArray) -> FloatArray:
 
 
 def orthonormal(R: FloatArray) -> FloatArray:
-    """Return a rotation matrix, (3, 3), without the rounding errors of many products, by one Newton step."""
+    """Return a rotation matrix, shape (3, 3), after a Newton step that removes its rounding errors."""
     return R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)
 
 

@@ -15,36 +15,36 @@ from rpod_target import NO_SYMMETRY, Equivalence
 from rpod_target.equivalence import with_variance_about
 
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-"""Places of a state's parts among its errors."""
+"""Components of the error vector: (dp, dtheta, dv, dw)."""
 POSE, TWIST = slice(0, 6), slice(6, 12)
-"""Places of position with attitude, and of velocity with rate."""
+"""Components of position with attitude, and of velocity with rate."""
 MOTION = slice(0, 12)
 """Pose and twist; the states of blocks follow."""
 
 
 class Motion(NamedTuple):
-    """A state after a step, and how its errors move in the step."""
+    """A state after a step, and the propagation of its errors: ``after`` (F e + noise)."""
 
     state: "FilterState"
-    """State after the step, with the covariance and the stamp of before."""
+    """State after the step, still with the covariance and the stamp of before."""
     F: FloatArray
-    """Derivatives of the errors by those before, but for ``after``, shape (12 + n, 12 + n)."""
+    """Matrix that propagates the errors, before ``after`` is applied, shape (12 + n, 12 + n)."""
     noise: FloatArray
-    """Covariance of the noise that comes in addition, but for ``after``, shape (12 + n, 12 + n)."""
+    """Covariance of the added noise, before ``after`` is applied, shape (12 + n, 12 + n)."""
     after: FloatArray | None
-    """Matrix that multiplies errors and noise at the end, shape (12 + n, 12 + n); None for nothing."""
+    """Matrix that multiplies errors and noise at the end, shape (12 + n, 12 + n); None for the identity."""
 
 
 class MotionModel(Protocol):
     """A model of the motion of target and chaser."""
 
     def __call__(self, state: "FilterState", step_s: float, config: FilterConfig) -> Motion:
-        """Return the motion of a state in a step, s."""
+        """Return the motion of a state in a step of ``step_s`` seconds."""
         ...
 
 
 class Manoeuvre(NamedTuple):
-    """Factors on the densities of accelerations, at least 1, while the target moves by more than expected."""
+    """Factors, at least 1, on the densities of accelerations while the target accelerates unexpectedly."""
 
     acceleration: float
     """Factor on ``acceleration_density_m2_s3``."""
@@ -53,22 +53,22 @@ class Manoeuvre(NamedTuple):
 
 
 CALM = Manoeuvre(1.0, 1.0)
-"""The target moves as the configuration expects."""
+"""Factors for a target that moves as the configuration expects."""
 
 
 class InnovationSum(NamedTuple):
-    """Sum of the innovations of one part of accepted poses, in which older ones count less."""
+    """Weighted sum of the innovations of accepted poses, of position or attitude; older ones weigh less."""
 
     difference: FloatArray
-    """Sum of the differences, shape (3,)."""
+    """Sum of the differences, m or rad, shape (3,)."""
     covariance: FloatArray
-    """Its covariance if the innovations are independent, shape (3, 3)."""
+    """Covariance of ``difference`` if the innovations are independent, shape (3, 3)."""
     squares: float
-    """Sum of their normalised squares."""
+    """Sum of the normalised squares of the innovations."""
     weights: float
     """Sum of the weights."""
     squared_weights: float
-    """Sum of the squared weights, which are those of ``covariance`` and ``squares``."""
+    """Sum of the squared weights, by which ``covariance`` and ``squares`` are weighted."""
 
 
 NO_INNOVATIONS = InnovationSum(np.zeros(3), np.zeros((3, 3)), 0.0, 0.0, 0.0)
@@ -97,11 +97,11 @@ class FilterState:
     model: MotionModel | None = None
     """Model of the motion between measurements; None for constant velocity and rate."""
     manoeuvre: Manoeuvre = CALM
-    """Factors by which the densities are raised since the gate has refused a pose that its frame proves."""
+    """Factors by which the densities are raised after the gate refused a pose that its frame alone proves."""
     lag: Manoeuvre = CALM
-    """Factors by which they are raised because the estimate lags behind the target."""
+    """Factors by which the densities are raised because the estimate lags behind the target."""
     sums: tuple[InnovationSum, InnovationSum] = (NO_INNOVATIONS, NO_INNOVATIONS)
-    """The sums of position and attitude, which show whether it does."""
+    """Sums of the innovations of position and of attitude, in which a lag is detected."""
 
     @property
     def size(self) -> int:
@@ -114,11 +114,11 @@ class FilterState:
         return Manoeuvre(*map(max, self.manoeuvre, self.lag))
 
     def places(self) -> dict[str, slice]:
-        """Return the places of the blocks' states in the covariance, by the block's name."""
+        """Return the slices of the blocks' states in the covariance, by the block's name."""
         return {block.name: place for block, place in placed(self.blocks, MOTION.stop)}
 
     def corrected(self, correction: FloatArray) -> "FilterState":
-        """Return the state moved by a correction of its errors, shape (12 + n,); its covariance is kept."""
+        """Return the state after a correction of its errors, shape (12 + n,), with the same covariance."""
         pose = self.T_chaser_target
         R = exponential(correction[ATTITUDE]) @ rotation_matrix(pose)
         return replace(
@@ -134,7 +134,7 @@ class FilterState:
 
 
 def with_free_axes_unobserved(state: FilterState, config: FilterConfig) -> FilterState:
-    """Return a state with no error of the angles about free axes, and with unknown rates about them."""
+    """Return a state without errors of the angles about free axes, and with unknown rates about them."""
     if not len(state.alike.free_axes):
         return state
     axes = state.alike.free_axes @ rotation_matrix(state.T_chaser_target).T

@@ -24,14 +24,14 @@ from rpod_schemas.types import Mode
 from rpod_target import Equivalence, Joint
 
 BEGINNING = 0.5
-"""Factor on the share at which a track is lost, below which one may begin. Hand: two shares that differ, so
-that tracks do not begin and end in turn."""
+"""Largest share of unsupporting frames with which a track may begin, over the share at which a track is lost.
+Hand: the two shares differ, so that tracks do not begin and end in turn."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
 """Standard deviations of a given first pose without a given covariance. Hand: 5 cm and 15 deg."""
 
 
 class Beginning:
-    """Begins tracks; its only state is its configuration and data of the target.
+    """Begins tracks; the object holds only configuration and data of the target.
 
     Args:
         settings: settings of the estimator.
@@ -113,7 +113,7 @@ class Beginning:
         return History(self.filter_at(measured))
 
     def at_remaining(self, state: NavigatorState, rivals: Rivals, event: Measurement) -> NavigatorState:
-        """Return the state with the track of the best rival, which has been tracked all the time."""
+        """Return the state with the track of the best rival, which continues from its parallel track."""
         verified = rivals.frames >= self._limits.confirmations and self.is_credible(state, event.sensor)
         return replace(
             state,

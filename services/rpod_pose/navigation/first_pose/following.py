@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Acquisition, Methods, Registration
-from rpod_pose.unwanted import step
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import between
 from rpod_schemas.types import SensorFrame
@@ -87,7 +87,7 @@ def followed(follow: Follow, methods: Methods) -> Followed:
     registration = follow.found.registration
     track = [Placed(searched.stamp_ns, registration)]
     for event in later:
-        step()
+        stop_if_cancelled()
         registration = _registered(event, track[-2:], methods)
         if registration.continues_track:
             track.append(Placed(event.stamp_ns, registration))

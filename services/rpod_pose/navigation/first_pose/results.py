@@ -1,4 +1,4 @@
-"""Consequence of a search's result: a track begins, or tracks of rivals, or none."""
+"""Consequences of a search's result: a track begins, or the parallel tracks of rivals, or none."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,7 +19,7 @@ from rpod_target import Equivalence
 
 
 class SearchResults:
-    """Takes the results of searches where there is no track.
+    """Applies the results of searches while there is no track.
 
     Args:
         settings: settings of the estimator.
@@ -72,7 +72,7 @@ class SearchResults:
     def again(
         self, state: NavigatorState, rivals: Rivals, search: Search, found: Found
     ) -> tuple[NavigatorState, Output]:
-        """Begin a track at the best rival, if it is the best beside those of a new search as well."""
+        """Begin a track at the best rival, if it is probable enough also among the poses of a new search."""
         event, registration = search.event, search.registration
         others = self._parallel.also_found(rivals, event, found.acquisition)
         joined = rivals.joined_by(others, self._alike) if others else rivals

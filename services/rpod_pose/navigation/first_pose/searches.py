@@ -1,13 +1,13 @@
-"""Searches that the navigator asks for, and the port by which it gets their results.
+"""Searches that the navigator requests, and the port through which it gets their results.
 
-A search takes from a tenth of a second to many seconds; tracking must not wait for it. So the navigator asks
-for it, goes on with other frames, and asks again at each frame of the same sensor until the result is there.
-The result is about the searched frame: it is applied at that frame's stamp, and what follows from it is
-verified by the present frame.
+A search takes from a tenth of a second to many seconds; tracking must not wait for it. So the navigator
+requests it, processes further frames, and asks for the result at each frame of the same sensor until it is
+available. The result belongs to the searched frame: it is applied at that frame's stamp, and the present
+frame verifies the pose that follows from it.
 
-The port has three forms: ``InlineSearches`` here, for lockstep, campaigns and replay; one with processes of
-its own, for a live daemon; and one that repeats a log. Given the frames at which results are there, the
-navigator is a pure function.
+The port has three implementations: ``InlineSearches`` here, for lockstep, campaigns and replay; one with
+processes of its own, for a live daemon; and one that repeats the searches of a log. If it is given at which
+frames the results arrive, the navigator is a pure function.
 """
 
 from collections.abc import Collection, Mapping
@@ -39,10 +39,10 @@ AGE_S = "search_age_s"
 
 
 class Near(NamedTuple):
-    """The surroundings of a pose, which are searched first."""
+    """A pose near which is searched first."""
 
     frame: SensorFrame
-    """The frame as of its stamp."""
+    """The frame at its stamp, de-skewed if the sensor kind needs it."""
     T_sensor_target: RigidTransform
 
 
@@ -55,17 +55,17 @@ class Search:
     frame: SensorFrame | None = None
     """Frame that is searched without a guess; None if only ``near`` is searched."""
     near: Near | None = None
-    """Pose around which is searched first; None for none."""
+    """Pose near which is searched first; None for a search without a guess only."""
     angles: Mapping[str, Angle] = field(default_factory=dict)
     """Expected angles of the target's joints, by name."""
     registration: Registration | None = None
-    """Registration by the tracker in the frame; None if it was not asked."""
+    """Registration of the frame by the tracker; None if there was none."""
     reason: str = ""
     """Why the frame is not used if nothing is found near the pose."""
     beside_track: bool = False
-    """Whether the target is tracked while it runs, so that it is less urgent than a tracked frame."""
+    """Whether the target is tracked while the search runs, which is then less urgent than tracked frames."""
     waited: int = 0
-    """Number of frames of its sensor that have come since."""
+    """Number of frames of the same sensor that have arrived since the searched one."""
     later: tuple[Measurement, ...] = ()
     """Some of these frames."""
     follow: Follow | None = None
@@ -78,7 +78,7 @@ class Search:
 
     @property
     def sent(self) -> "Search":
-        """This search without the data that are needed only to use its result."""
+        """This search as it is sent to a search process, without data that only its result needs."""
         return replace(self, registration=None, later=())
 
     @property
@@ -104,9 +104,9 @@ class Found:
     track: tuple[Placed, ...] = ()
     """Last two poses of one that was followed, each in its frame; the second is that of the acquisition."""
     nearby: bool = False
-    """Whether it is that of the surroundings of ``Search.near``."""
+    """Whether it is the result of the search near ``Search.near``."""
     paused: bool = False
-    """Whether the search was not made, because unsuccessful searches are limited."""
+    """Whether the frame was not searched, because the number of unsuccessful searches is limited."""
 
     def stamp_ns(self, search: Search) -> int:
         """Return the stamp of the frame in which the pose of this result of a search is."""
@@ -119,19 +119,19 @@ class Found:
 
     @classmethod
     def not_searched(cls) -> "Found":
-        """Return the result of a search that was not made because unsuccessful searches are limited."""
+        """Return the result for a frame that was not searched, as unsuccessful searches are limited."""
         return cls(Acquisition(Registration.none(Source.NONE, PAUSED)), paused=True)
 
 
 class Searches(Protocol):
-    """Makes searches, and returns each result once its search has ended."""
+    """Runs searches, and returns each result when its search has ended."""
 
     def result(self, search: Search) -> Found | None:
-        """Return the result of a search, which begins when it is asked for first; None while it runs."""
+        """Return the result of a search, or None while it runs; the first call starts the search."""
         ...
 
     def keep(self, searches: Collection[Search]) -> None:
-        """Cancel all searches but these, because the results of the others are not needed."""
+        """Cancel all searches except these; the results of the others are not needed."""
         ...
 
 
@@ -140,14 +140,14 @@ class InlineSearches:
 
     Args:
         methods: methods of each sensor, by its name.
-        delay_frames: number of frames of the same sensor after which a result is there; 0 for at once.
+        delay_frames: number of frames of the same sensor after which a result is available; 0 for at once.
     """
 
     def __init__(self, methods: Mapping[str, Methods], delay_frames: int = 0) -> None:
         self._methods, self._delay_frames = methods, delay_frames
 
     def result(self, search: Search) -> Found | None:
-        """Return the result if enough frames have come since the searched one."""
+        """Return the result if enough frames have arrived since the searched one; otherwise None."""
         return find(search, self._methods[search.sensor]) if search.waited >= self._delay_frames else None
 
     def keep(self, searches: Collection[Search]) -> None:
@@ -167,5 +167,5 @@ def find(search: Search, methods: Methods) -> Found:
 
 
 def expecting(methods: Methods, angles: Mapping[str, Angle]) -> Methods:
-    """Return the methods of a sensor where angles of the target's joints are expected, if any are."""
+    """Return the methods of a sensor for expected angles of the target's joints, if there are any."""
     return methods if methods.expecting is None or not angles else methods.expecting(angles)

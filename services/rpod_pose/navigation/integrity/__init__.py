@@ -1,1 +1,1 @@
-"""Integrity: a bound of the error that an estimate may have without an alert, and the tests for an alert."""
+"""Integrity: bounds of the error that an estimate may have without an alert, and the tests for an alert."""

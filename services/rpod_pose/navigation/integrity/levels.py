@@ -1,19 +1,19 @@
 """Protection levels from solutions with and without a part of the measurements.
 
 The error of an estimate is above its level, without an alert, with at most the probability ``risk``. Each
-fault hypothesis is a solution x_k without the measurements that would be wrong under it; x_0 uses all. If x_k
-is right, the error of x_0 is at most its separation from x_k and the error of x_k. Hence the level
+fault hypothesis has a solution x_k without the measurements that are wrong under it; x_0 uses all of them. If
+x_k is right, the error of x_0 is at most its separation from x_k plus the error of x_k. Hence the level
 
     max over k of |x_0 - x_k| + K(p_k) sigma_k,
 
-where p_k is the part of the risk over the probability of the hypothesis, sigma_k the standard deviation of
+where p_k is the hypothesis's part of the risk divided by its probability, sigma_k the standard deviation of
 x_k in its worst direction, and K sigma_k the quantile of the length of a normal vector with its covariance.
-So the level is a sphere's radius, and K depends on the shape of the covariance: for p = 1e-6 it is 4.89 if
-the error lies along one axis only, and 5.54 if it is alike along all three.
+So the level is the radius of a sphere, and K depends on the shape of the covariance: for p = 1e-6 it is 4.89
+if the error lies along one axis only, and 5.54 if it is equal along all three.
 
-What no test of one sensor can see adds its covariance, in the direction in which it acts: an error of the
-mount's attitude moves the target across the line of sight, a drift of the ranges along it, an error of the
-clock along the velocity.
+Errors that no test of one sensor can detect add their covariance, in the direction in which they act: an
+error of the mount's attitude moves the target across the line of sight, a drift of the ranges along it, an
+error of the clock along the velocity.
 
 Sources: R. G. Brown, A baseline GPS RAIM scheme and a note on the equivalence of three RAIM methods,
 Navigation 39(3), 1992; B. W. Parkinson and P. Axelrad, Autonomous GPS integrity monitoring using the
@@ -36,19 +36,19 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
 _RATIOS = 20
-"""Steps of a ratio between two standard deviations, which is rounded up, so that quantiles are stored.
-Numerics: a level grows by a twentieth at most."""
+"""Number of steps to which a ratio of two standard deviations is rounded up, so that few quantiles have to be
+computed and cached. Numerics: a level grows by a twentieth at most."""
 _ROUNDING = 1e-9
 """Part of a step below which a ratio counts as the step itself. Numerics: the error of the division."""
 _DECADE = 20
-"""Steps of a decade of a hypothesis' probability, which is rounded up for the same reason. Numerics: a
-probability changes by 12 % at most."""
+"""Number of steps in a decade to which a hypothesis' probability is rounded up, for the same reason.
+Numerics: a probability changes by 12 % at most."""
 _NODES = 24
 """Number of nodes of the quadrature along each of two angles. Numerics: a quantile is right to 1e-5, a
 hundredth of ``_CLOSE``."""
 _CLOSE = 1e-3
-"""Error up to which a quantile is computed, never too small, in standard deviations. Numerics: below a
-thousandth of any level."""
+"""Largest error of a quantile, which is never too small, in standard deviations. Numerics: below a thousandth
+of any level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +56,11 @@ class Solution:
     """A solution under a hypothesis of what is wrong, at the stamp of the estimate."""
 
     name: str
-    """Measurements that it leaves out; empty for the one with all measurements."""
+    """Name of the hypothesis, for example "without lidar"; empty for the solution with all measurements."""
     separation: FloatArray
-    """(dp, dtheta) from it to the estimate, m and rad, shape (6,)."""
+    """(dp, dtheta) from this solution to the estimate, m and rad, shape (6,)."""
     covariance: FloatArray
-    """Covariance of its pose, shape (6, 6)."""
+    """Covariance of the solution's pose, shape (6, 6)."""
     probability: float = 1.0
     """Probability of the hypothesis."""
 
@@ -80,12 +80,12 @@ class Levels:
 
 
 def solution(name: str, estimate: FilterState, other: FilterState, probability: float) -> Solution:
-    """Return another filter's state, at the same stamp, as a solution beside the estimate."""
+    """Return the state of another filter at the estimate's stamp as the solution of a hypothesis."""
     return Solution(name, separation_of(estimate, other), other.covariance[POSE, POSE], probability)
 
 
 def protection_levels(solutions: Sequence[Solution], unseen: FloatArray, risk: float) -> Levels:
-    """Return the levels of an estimate; half of the risk is that of the attitude.
+    """Return the levels of an estimate; attitude and position get half of the risk each.
 
     Args:
         solutions: the solution with all measurements first, then those of the fault hypotheses.
@@ -104,8 +104,8 @@ def declared_covariance(
 
     Args:
         config: declared standard deviations.
-        place_m: place of the target's origin, as seen from the sensor, shape (3,), in the solutions' axes.
-        velocity_m_s: its velocity, by which an error of the clock moves it, shape (3,).
+        place_m: position of the target's origin relative to the sensor, in the solutions' axes, shape (3,).
+        velocity_m_s: velocity of the origin, by which an error of the clock displaces it, shape (3,).
         rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
     """
     mount_rad = np.deg2rad(config.mount_sigma_deg)
@@ -125,17 +125,17 @@ def _greatest(
 ) -> tuple[float, str]:
     """Return the greatest level of the solutions, and the name of its solution.
 
-    Half of the risk is that of the solution with all measurements, the others share the rest. The level is
-    NaN if that of any solution is not known.
+    The solution with all measurements gets half of the risk, and the others share the other half. The level
+    is NaN if that of any solution is unknown.
     """
     shares = (0.5 * risk, *[0.5 * risk / max(len(solutions) - 1, 1)] * (len(solutions) - 1))
     levels = [_level(each, part, unseen, share) for each, share in zip(solutions, shares, strict=True)]
-    first = int(np.argmax(levels))  # that of the first NaN if there is one
+    first = int(np.argmax(levels))  # the index of the first NaN if there is one
     return levels[first], solutions[first].name
 
 
 def _level(solution: Solution, part: slice, unseen: FloatArray, risk: float) -> float:
-    """Return the level by one solution, which has its part of the risk; NaN if it is not known."""
+    """Return the level by one solution with its part of the risk; NaN if the covariance is unknown."""
     probability = min(risk / _rounded(solution.probability), 1.0)
     quantile = length_quantile((solution.covariance + unseen)[part, part], probability)
     return float(np.linalg.norm(solution.separation[part])) + quantile
@@ -147,10 +147,10 @@ def _rounded(probability: float) -> float:
 
 
 def length_quantile(covariance: FloatArray, probability: float) -> float:
-    """Return the length that a normal vector exceeds with at most a probability; NaN if it is not known.
+    """Return the length that a normal vector exceeds with at most a probability; NaN if it is unknown.
 
     Args:
-        covariance: its covariance, shape (3, 3).
+        covariance: covariance of the vector, shape (3, 3).
         probability: the probability, above 0.
     """
     if not np.isfinite(covariance).all():
@@ -180,7 +180,7 @@ def _shaped_quantile(middle: float, least: float, probability: float) -> float:
         return float(weight @ beyond @ weight) - probability
 
     low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
-    if not (excess(low) > 0.0 > excess(high)):  # a line, or alike along all axes
+    if not (excess(low) > 0.0 > excess(high)):  # errors along one axis only, or equal along all axes
         return low if excess(low) <= 0.0 else high
     while high - low > _CLOSE:
         between = 0.5 * (low + high)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter import FilterState
-from rpod_pose.navigation.integrity.inside import Inside
+from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.residuals import Residual
 from rpod_schemas.arrays import FloatArray
 
@@ -21,21 +21,22 @@ class Memory:
     without: Mapping[str, FilterState] = field(default_factory=dict)
     """Filters without one of several sensors, by that sensor's name."""
     anchors: tuple[FilterState, ...] = ()
-    """The estimate as it was up to a window before, oldest first."""
+    """Earlier estimates, from up to a window before, oldest first."""
     contradicted_ns: int | None = None
-    """Newest stamp at which the estimate contradicted its past."""
+    """Newest stamp at which the estimate contradicted an earlier one."""
     contradiction: str = ""
+    """Description of that contradiction, with its figures."""
     sensor: str = ""
     """Sensor whose measurement was accepted last."""
     frozen_ns: Mapping[str, int] = field(default_factory=dict)
     """Stamp of the newest frame of each sensor that sends identical frames."""
-    inside: Inside = field(default_factory=Inside)
-    """Tests of the sensors' frames for errors inside them."""
+    frames: FrameEvidence = field(default_factory=FrameEvidence)
+    """Evidence in the sensors' own frames that the model or a part of the data is wrong."""
     mounts: Mapping[str, RigidTransform] = field(default_factory=dict)
     """Mounts T_chaser_sensor of the sensors, by name."""
 
     def place_m(self, estimate: FilterState) -> FloatArray:
-        """Return the place of the target as seen from the sensor that is farthest, chaser axes, (3,), m."""
+        """Return the target's position relative to the farthest sensor, chaser axes, shape (3,), m."""
         place_m = estimate.T_chaser_target.translation
         seen_m = (place_m - mount.translation for mount in self.mounts.values())
         return max(seen_m, key=np.linalg.norm, default=place_m)

@@ -1,13 +1,13 @@
-"""The integrity monitor: a pure function from what the navigator knows to levels, state and reason.
+"""The integrity monitor: a pure function from the navigator's state to protection levels, state and reason.
 
 ``assess(memory, state, output) -> (memory, integrity)`` is called once after each step of the navigator. It
-reads the navigator's state and output, and changes neither. The memory holds what the navigator does not
-keep: filters without one of several sensors, residuals of each sensor, and where the estimate was before.
+reads the navigator's state and output, and changes neither. The memory holds data that the navigator does not
+keep: filters without one of several sensors, residuals of each sensor, and earlier estimates.
 
-An alert means that measurements contradict each other, or the estimate its own past; it does not say which
-of them is wrong. An error that all measurements of the only sensor share contradicts nothing: a wrong mount,
-a clock's offset at constant speed, a slow drift of ranges. The levels include the
-standard deviation that is declared for it.
+An alert means that measurements contradict each other, or that the estimate contradicts an earlier one. It
+does not say which of them is wrong. An error that all measurements of a single sensor share contradicts
+nothing: a wrong mount, a clock's offset at constant speed, a slow drift of ranges. The levels include the
+standard deviation that the configuration declares for such an error.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,15 +40,17 @@ from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
 
 NOT_TOLD = "; which of them is wrong is not known: calibrate both"
-"""Text on what an offset between two mounts does not tell, with the remedy."""
+"""Text that an offset between two mounts does not say which mount is wrong, with the remedy."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
-"""Text on what levels cover where one of several sensors alone is not good enough for the alert limits."""
+"""Limit of the levels if one of several sensors alone is not accurate enough for the alert limits."""
 SIZE_BELIEVED = (
-    "the size of the target is believed as its file states it; to have it checked, calibrate the camera"
+    "the size of the target is taken from its file unchecked; to have it checked, calibrate the camera"
 )
-"""Text on what levels leave out where a camera's distances are not good enough for the alert limits."""
-SIZE_DECLARED = "sizes up to 2 % off are not told apart, and are covered as far as scale_tolerance says"
-"""Text on what levels leave out where sizes that no frame excludes are not good enough for the limits."""
+"""Limit of the levels if a camera's distances alone are not accurate enough for the alert limits."""
+SIZE_DECLARED = (
+    "size errors up to 2 % cannot be detected; they are covered as far as the target's scale_tolerance states"
+)
+"""Limit of the levels if they are above the alert limits with the sizes that no frame can exclude."""
 
 
 class Monitor:
@@ -72,7 +74,7 @@ class Monitor:
             memory: the memory before.
             state: the navigator's state after the step.
             output: what the step publishes.
-            frozen: whether the step's frame was refused, as its content is that of the frames before.
+            frozen: whether the step's frame was refused because it is identical to the frames before.
         """
         memory = self._heard(memory, state, output, frozen)
         if not state.mode.has_track or state.history is None:
@@ -103,10 +105,10 @@ class Monitor:
         }
         memory = replace(memory, frozen_ns=frozen_ns | ({status.sensor: status.stamp_ns} if frozen else {}))
         if status.accepted:
-            inside = memory.inside.after(
+            frames = memory.frames.after(
                 status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
             )
-            memory = replace(memory, sensor=status.sensor, inside=inside)
+            memory = replace(memory, sensor=status.sensor, frames=frames)
         step = None
         if state.history is not None and np.isfinite(status.nis):
             step = state.history.applied_at(status.stamp_ns, status.sensor)
@@ -128,7 +130,7 @@ class Monitor:
     def _without(
         self, memory: Memory, sensor: str, predicted: FilterState, measured: PoseMeasurement
     ) -> Mapping[str, FilterState]:
-        """Return the filters without one sensor after a measurement of ``sensor``; none for one sensor."""
+        """Return the filters without each one of several sensors after a measurement of ``sensor``."""
         if len(memory.residuals) < 2:
             return {}
         found = {name: each for name, each in memory.without.items() if name in memory.residuals}
@@ -147,14 +149,14 @@ class Monitor:
         return found
 
     def _remembered(self, memory: Memory, estimate: FilterState) -> Memory:
-        """Return the memory with the estimate compared with its past, and added to it.
+        """Return the memory after the estimate is compared with earlier ones, and added to them.
 
-        While estimate and past contradict each other, the remembered past stays as it is.
+        While the estimate contradicts an earlier one, the earlier ones are kept.
         """
         anchors = tuple(each for each in memory.anchors if each.stamp_ns <= estimate.stamp_ns)
         for anchor in anchors:
             past = predict(anchor, estimate.stamp_ns, self._filter)
-            test = _separation_test("the estimate and its prediction from before", estimate, past)
+            test = _separation_test("the estimate and the prediction of an earlier one", estimate, past)
             if test.exceeds_risk(self._config.risk):
                 since_s = (estimate.stamp_ns - anchor.stamp_ns) * 1e-9
                 text = f"{test.describe(self._config.risk)}, {since_s:.1f} s before"
@@ -176,7 +178,7 @@ class Monitor:
             tests += found
             evidence |= numbers
         range_m = float(np.linalg.norm(memory.place_m(estimate)))
-        tests += memory.inside.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
+        tests += memory.frames.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
         for one, other in combinations(sorted(memory.without), 2):
             there = [
                 predict(memory.without[name], estimate.stamp_ns, self._filter)
@@ -193,8 +195,8 @@ class Monitor:
     def _limit(self, memory: Memory, state: NavigatorState, estimate: FilterState) -> tuple[float, float]:
         """Return the alert limits of attitude, deg, and position, m.
 
-        Of several sensors that support the track the greater limit counts: an estimate that is of use by one
-        of them is not of less use by the other.
+        If several sensors support the track, the largest of their limits counts: a further sensor does not
+        make an estimate less usable.
         """
         stamp_ns = estimate.stamp_ns
         names = {memory.sensor} | {
@@ -214,13 +216,13 @@ class Monitor:
         estimate: FilterState,
         limit: tuple[float, float],
     ) -> tuple[Levels, str]:
-        """Return the protection levels, and what they do not cover.
+        """Return the protection levels, and the errors that they do not cover, in words.
 
-        They are those over all fault hypotheses. If these are above the limits because one of several
-        sensors alone is not good enough, they are those of a single sensor: any of its frames may be wrong,
-        and what it cannot see is as large as declared. So a second sensor takes nothing away. A part of a
-        sensor's data whose own error is above the limit takes nothing away either, nor do sizes that no frame
-        can exclude, if the levels with them are above the limits.
+        The levels are those over all fault hypotheses, with three exceptions, so that a further sensor or
+        test does not make an estimate unavailable. The hypothesis that one of several sensors is wrong is
+        left out if the levels with it are above the limits. A part of a sensor's data is left out if its own
+        error is above the limits. Sizes that no frame can exclude are left out if the levels with them are
+        above the limits. The text names the exception.
         """
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
@@ -232,7 +234,7 @@ class Monitor:
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
         solutions += refused_solutions(state.history, share)
         solutions += self._rivals(output, estimate)
-        other_sizes, between = memory.inside.size_solutions(
+        other_sizes, between = memory.frames.size_solutions(
             estimate, self._config.risk, share, self._tuning.correlated_s
         )
         solutions += other_sizes
@@ -242,7 +244,7 @@ class Monitor:
         def levels_of(chosen: Sequence[Solution]) -> Levels:
             return protection_levels(chosen, unseen, self._config.risk)
 
-        parts = memory.inside.solutions(estimate, place_m, share, self._tuning.range_share)
+        parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
         less = ""
         for part in parts:
             if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):
@@ -358,7 +360,7 @@ class Monitor:
 
 
 def _separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
-    """Return the test whether two solutions differ by more than their covariances together allow.
+    """Return the test whether two solutions differ by more than the sum of their covariances allows.
 
     Solutions that share measurements differ by less than that, so the test alerts too seldom.
     """

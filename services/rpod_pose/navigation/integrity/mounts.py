@@ -1,8 +1,9 @@
 """Offsets between the mounts of two sensors, as the filter estimates them.
 
-Each sensor's mount has an error of its own among the filter's states. Only their difference is observable:
-it says by how much two sensors disagree, and not which of them is wrong. Along the line of sight, a wrong
-place of a mount and ranges that are all too long have the same effect, so that the offset contains both.
+The error of each sensor's mount is a state of the filter. Only the difference of two such errors is
+observable: it shows by how much two sensors disagree, but not which of them is wrong. Along the line of
+sight, a wrong position of a mount has the same effect as ranges that are all too long. The offset contains
+both.
 """
 
 from collections.abc import Iterable

@@ -1,8 +1,8 @@
-"""The hypothesis that a measurement which the gate refused is right, and the prediction wrong.
+"""The hypothesis that a measurement which the gate refused is right, and that the prediction is wrong.
 
-A gate compares a measurement with a prediction, and does not tell which of them is wrong. By Bayes's rule a
-wrong prediction is the more probable, the larger the normalised innovation squared is that both right would
-have given by chance.
+A gate compares a measurement with a prediction. It cannot decide which of them is wrong. If both were right,
+the normalised innovation squared (NIS) would be so large only by chance. By Bayes's rule, the smaller the
+probability of this chance is, the more probable is a wrong prediction.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def refused_solutions(history: History, share: float) -> list[Solution]:
 
     Args:
         history: the measurements.
-        share: prior probability of a prediction that is wrong.
+        share: prior probability that the prediction is wrong.
     """
     if not history.steps or history.steps[-1].outcome.accepted:
         return []

@@ -1,13 +1,14 @@
 """Tests of a sensor's residuals: are they as large as the filter says, and is their mean zero?
 
-A residual is the innovation of a frame, whitened by its covariance S = L L^T: z = L^-1 y, which is normal
-with unit covariance if sensor and filter are right. Errors of successive frames are correlated, so n frames
-count as the number m of periods of ``correlated_s`` that they span. Then m times the mean of |z|^2 has at
-most the tail of chi-squared with 6 m degrees of freedom, and m |mean of z|^2 that with 6, whatever the
-correlation within a period is: the tests alert too seldom rather than too often.
+A residual is the innovation y of a frame, whitened by its covariance S = L L^T: z = L^-1 y. It is normal with
+unit covariance if sensor and filter are right. Errors of successive frames are correlated, so n frames count
+as the number m of periods of ``correlated_s`` that they span. Then m times the mean of |z|^2 has at most the
+tail of chi-squared with 6 m degrees of freedom, and m |mean of z|^2 at most that with 6, whatever the
+correlation within a period is. The tests alert too seldom rather than too often.
 
 A stamp that is late by tau moves the measured pose by -tau (v, w), so that the mean of z is -tau L^-1 (v, w).
-Its least-squares estimate names a clock as the cause (Parkinson and Axelrad 1988 treat a bias likewise).
+The least-squares estimate of tau shows whether the clock is the cause (Parkinson and Axelrad 1988 treat a
+bias likewise).
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,8 @@ from rpod_pose.navigation.integrity.levels import chi2_limit
 from rpod_schemas.arrays import FloatArray
 
 _EXPLAINED = 0.5
-"""Share of a bias from which on a clock is named as its cause. Hand: more than all other causes together."""
+"""Least share of a bias that a clock must explain to be named as the cause. Hand: more than all other causes
+together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,23 +31,26 @@ class Residual:
 
     stamp_ns: int
     z: FloatArray
-    """Shape (6,)."""
+    """Whitened innovation of (dp, dtheta), in standard deviations, shape (6,)."""
     late: FloatArray
-    """Change of z for each second by which the stamp is late, shape (6,)."""
+    """Derivative of z with respect to the delay of the stamp, 1/s, shape (6,)."""
 
 
 @dataclass(frozen=True)
 class Statistic:
-    """A test statistic, with its distribution if sensor and filter are right."""
+    """A test statistic, which has the distribution of chi-squared if sensor and filter are right."""
 
     name: str
+    """Tested quantity, in words."""
     value: float
+    """Value of the statistic, to be compared with chi-squared."""
     dof: float
+    """Degrees of freedom."""
     cause: str = ""
     """Likely cause, for the operator."""
 
     def exceeds_risk(self, risk: float) -> bool:
-        """Return whether the statistic is above what it exceeds by chance with probability ``risk``."""
+        """Return whether the statistic is above the limit that it exceeds by chance with ``risk``."""
         return not self.value <= chi2_limit(risk, self.dof)
 
     def describe(self, risk: float) -> str:

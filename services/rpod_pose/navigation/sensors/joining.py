@@ -1,7 +1,7 @@
-"""A sensor joins the track of others: with and without it, two filters are kept (solution separation).
+"""How a sensor joins the track of others: one filter with it and one without it (solution separation).
 
-The sensors that began the track, or that have carried it alone since, are established. The frames of another
-sensor, a newcomer, update a filter beside the published one. The newcomer joins when two successive frames of
+The sensors that began the track, or that have supported it alone since, are established. The frames of
+another sensor, a newcomer, update a second filter. The newcomer joins when two successive frames of
 established sensors agree with both filters. If such a frame later agrees only with the filter without the
 newcomer, the newcomer is excluded again. When no established sensor delivers any more, the newcomer becomes
 established. Source of the idea: R. G. Brown and P. W. McBurney, Self-contained GPS integrity check using
@@ -19,7 +19,7 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 
 AGREEMENTS = 2
 """Number of frames of established sensors that must agree. Hand: at the first one, the newcomer may have
-delivered only for a moment; between two of them it has had the time to move its filter away."""
+delivered only for a moment; between two of them a wrong newcomer has time to move its filter away."""
 PROBATION = "offered: the sensor joins the track when the next frames of {} agree"
 """Reason for which a newcomer's pose is not used yet."""
 

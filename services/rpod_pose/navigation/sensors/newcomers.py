@@ -1,4 +1,4 @@
-"""Frames of sensors that do not carry the track yet: the tracked pose is offered to them."""
+"""Frames of sensors that do not support the track yet: they are registered from the tracked pose."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,9 +26,10 @@ Accepting = Callable[[NavigatorState, Measurement, Registration], NavigatorState
 
 
 class Newcomers:
-    """Offers the tracked pose to sensors that are not established.
+    """Registers frames of sensors that are not established, from the tracked pose.
 
-    Such a sensor may not see the target at all: its frames end no track, and no search delays the others.
+    Such a sensor may not see the target at all. Therefore its frames neither end a track nor start a search,
+    which would delay the other sensors.
 
     Args:
         settings: settings of the estimator.
@@ -105,8 +106,8 @@ def applied(
 ) -> tuple[NavigatorState, float, bool]:
     """Return the state after a pose of an established sensor, its NIS, and whether the gate accepts it.
 
-    A refused pose stays in the history: a measurement that comes later may make it consistent. ``predicted``
-    is the history's prediction to the pose's stamp, if the caller has it already.
+    A refused pose stays in the history: an older measurement that arrives later may make it consistent.
+    ``predicted`` is the history's prediction to the pose's stamp, if the caller has it already.
     """
     if state.separation is None:
         grown, nis, accepted = apply(history, measured, config, predicted)

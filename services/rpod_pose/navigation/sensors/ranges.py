@@ -14,7 +14,11 @@ OUT_OF_RANGE = "out of range"
 
 
 class Ranges:
-    """Tells which sensors are out of their configured range."""
+    """Decides which sensors are out of their configured range.
+
+    Args:
+        sensors: configurations of the sensors, whose ``range_m`` are the limits in m.
+    """
 
     def __init__(self, sensors: Sequence[SensorInput]) -> None:
         self._range_m = {each.name: each.range_m for each in sensors if each.range_m is not None}

@@ -1,4 +1,4 @@
-"""The navigator's memory of each sensor's frames: whether they support the track."""
+"""Stamps of each sensor's newest frames, by which the navigator knows whether they support the track."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -9,13 +9,13 @@ from rpod_schemas.messages import NANOSECONDS
 RESTS = "not searched: the last search found nothing, and another sensor must not wait"
 """Reason for which a frame without a track is not used."""
 PERIODS = 1.5
-"""Number of its own periods in which a slow sensor must deliver its next measurement. Hand: half a period for
-jitter; two would wait for a measurement that is lost."""
+"""Number of a slow sensor's periods within which it must deliver its next measurement. Hand: half a period is
+for jitter; two periods would wait for a measurement that is lost."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """The frames of one sensor, accepted or not. A clock may begin at 0: any stamp may be that of a frame."""
+    """Stamps of one sensor's newest frames. None stands for no frame, because 0 is a valid stamp too."""
 
     heard_ns: int | None = None
     """Stamp of the newest frame; None if there is none."""
@@ -31,7 +31,10 @@ class Stream:
         return inf if self.accepted_ns is None else abs(stamp_ns - self.accepted_ns) / NANOSECONDS
 
     def is_silent(self, stamp_ns: int, unknown_s: float) -> bool:
-        """Return whether no frame has come at a stamp although one was due; ``unknown_s`` as for a track."""
+        """Return whether no frame has arrived although one was due at a stamp.
+
+        ``unknown_s`` is the time, s, after which one is due if the sensor's period is not known yet.
+        """
         if self.heard_ns is None:
             return False
         return (stamp_ns - self.heard_ns) / NANOSECONDS > self._late_s(unknown_s)
@@ -79,7 +82,7 @@ def supported(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 
 def begun(streams: Streams, sensor: str = "", stamp_ns: int = 0) -> Streams:
-    """Return the streams when a track begins: none supports it but the sensor of its first frame, if any."""
+    """Return the streams when a track begins: only the sensor of its first frame supports it, if any."""
     none = {name: replace(stream, accepted_ns=None) for name, stream in streams.items()}
     return supported(none, sensor, stamp_ns) if sensor else none
 
@@ -90,13 +93,16 @@ def searched(streams: Streams, sensor: str, stamp_ns: int) -> Streams:
 
 
 def is_paused(streams: Streams, sensor: str, stamp_ns: int, pause_s: float) -> bool:
-    """Return whether a frame is not searched, so that unsuccessful searches do not delay another sensor."""
+    """Return whether the last search was so recent that a frame is not searched.
+
+    Otherwise unsuccessful searches would delay another sensor.
+    """
     searched_ns = streams.get(sensor, Stream()).searched_ns
     return searched_ns is not None and 0.0 <= (stamp_ns - searched_ns) / NANOSECONDS < pause_s
 
 
 def is_recent(streams: Streams, sensor: str, stamp_ns: int, now_ns: int, at_least_s: float) -> bool:
-    """Return whether a frame of a sensor is so new that its next one need not have come."""
+    """Return whether a sensor's next frame after the one at ``stamp_ns`` is not yet overdue at ``now_ns``."""
     return replace(streams.get(sensor, Stream()), accepted_ns=stamp_ns).supports(now_ns, at_least_s)
 
 

@@ -1,1 +1,1 @@
-"""The joint tracker: distances of depth points and positions of amplitude edges in one least squares."""
+"""The joint tracker: a least-squares fit of depth points and of edges in the amplitude image together."""

@@ -1,12 +1,14 @@
-"""Several alignments of one frame, of which the whole image tells the likeliest one.
+"""Several alignments of one frame, from which the likeliest one is chosen by the whole image.
 
-Where edges are so near one another that they merge, materials decide which one the image shows, and these are
-known only roughly. So a frame is aligned twice: with all edges, and without those that a rendering merges
-with others. Where the two poses differ, the likelier one is taken. The other one remains among its errors.
+If edges are so near one another that they merge, it depends on the materials which one the image shows, and
+these are known only roughly. So a frame is aligned twice: with all edges, and without those that a rendering
+merges with others. If the two poses differ, the likelier one is chosen, and its covariance contains the
+distance of the other one.
 
-An alignment from a prediction some pixels off may end where edges meet their neighbours. It is repeated from
-poses around its end, until no further start leads to a likelier pose. Before, it is repeated from poses along
-the sight, where the bias of the ranges may have hidden the outline from the search for edges.
+An alignment from a prediction that is some pixels off may end at a wrong pose, where edges match their
+neighbours. It is repeated from poses around its end, until no further start leads to a likelier pose. Before
+that, it is repeated from poses along the line of sight: because of a bias of the ranges, the outline may have
+been beyond the reach of the search for edges.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,27 +32,27 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
 
 CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
-"""Difference of two log likelihoods from which one of them is preferred. Physics: a likelihood-ratio test at
+"""Least difference of two log likelihoods at which one pose is preferred. Physics: a likelihood-ratio test at
 95 %."""
 PATIENCE, MOST_STARTS = 3, 12
-"""Number of starts without a likelier pose after which no further one is tried, and of all starts. Numerics:
-budgets of computation."""
+"""Number of starts without a likelier pose after which no further one is tried, and largest number of starts.
+Numerics: budgets of computation."""
 START_PX = 2.5
-"""Distance in the image of a start from the pose so far. Numerics: a start is then within the reach of the
-search for edges (3 px), and beyond the width of an edge."""
+"""Distance in the image of a start from the likeliest pose so far. Numerics: a start is then within the reach
+of the search for edges (3 px), and beyond the width of an edge."""
 SHIFT_SHARE = 0.3
-"""Standard deviation of a start's shift along each axis, over the motion by its turn. Numerics: most starts
-are then as far away as by their turn alone."""
+"""Standard deviation of a start's shift along each axis, over its motion by rotation. Numerics: the distance
+of most starts is then nearly that of their rotation alone."""
 EXPECTED_RISE = 3.0
-"""Expected rise of minus a true log likelihood from its best pose to one drawn from its covariance. Physics:
-half of the six degrees of freedom."""
+"""Expected increase of minus a true log likelihood from its best pose to a pose drawn from its covariance.
+Physics: half of the six degrees of freedom."""
 DRAWN_POWER = 3
-"""Two to this power poses are drawn from a covariance. Numerics: a budget; a mean of eight is within a third.
-"""
+"""Logarithm to base 2 of the number of poses that are drawn from a covariance. Numerics: a budget; a mean of
+eight is right within a third."""
 MOST_BIAS_SIGMAS, MOST_MOVES = 2.0, 4
-"""Largest bias that is searched, in sigmas, and number of places on each side. Numerics: budgets."""
+"""Largest bias that is searched, in sigmas, and largest number of poses on each side. Numerics: budgets."""
 ALONE = np.zeros((6, 6))
-"""Spread of an alignment without another one beside it."""
+"""Spread of an alignment without alternatives."""
 
 
 class Aligned(NamedTuple):
@@ -60,30 +62,30 @@ class Aligned(NamedTuple):
     last: JointProblem
     """Problem of the last steps."""
     spread: FloatArray = ALONE
-    """Mean square distance of the other alignment, weighted by its likelihood, of (dtau, dtheta), target
+    """Covariance of (dtau, dtheta) caused by alternative alignments, weighted by their probability, target
     axes, shape (6, 6)."""
 
     def beside(self, other: "Aligned", more_loss: float) -> "Aligned":
-        """Return this alignment with another one among its errors.
+        """Return this alignment with the distance of an alternative one in its spread.
 
         Args:
             other: the less likely alignment.
-            more_loss: by how much the log likelihood of the other is smaller, at least 0.
+            more_loss: log likelihood of this alignment minus that of the other one, at least 0.
         """
         away = step_between(*(pose_of(*each.fit.state.pose) for each in (self, other)))
         return self._replace(spread=expit(-more_loss) * np.outer(away, away))
 
 
 def along_sight(state: State, *, sigma_m: float, step_m: float) -> list[State]:
-    """Return poses nearer and farther than one, with the biases of the ranges that leave the depth in place.
+    """Return poses nearer and farther than one, each with the bias of the ranges with which the depth fits.
 
-    A pose that was found by depth has the bias of the ranges. If it is a large part of the range, the outline
-    in the image is off by more than the reach of the search for edges.
+    A pose that was found by depth is displaced by the bias of the ranges. If the bias is a large part of the
+    range, the outline in the image is farther off than the reach of the search for edges.
 
     Args:
-        state: the pose.
+        state: the pose, with its bias.
         sigma_m: standard deviation of the bias, m.
-        step_m: distance of two poses, m. The result is empty if it is larger than the bias may be.
+        step_m: distance of two poses, m. If it is larger than the bias may be, the result is empty.
     """
     (R, t), bias_m = state
     number = int(min(MOST_BIAS_SIGMAS * sigma_m / step_m, MOST_MOVES))
@@ -96,7 +98,7 @@ def along_sight(state: State, *, sigma_m: float, step_m: float) -> list[State]:
 def depth_loss(problem: JointProblem, state: State) -> float:
     """Return minus the log likelihood of the depth at a pose, up to a constant.
 
-    The points count as at most ``most_points`` independent ones, as in the alignment.
+    The points have the weight of at most ``most_points`` independent points, as in the alignment.
     """
     points, errors = problem.points, problem.depth_errors
     whole = float(points.trust.sum())
@@ -118,17 +120,17 @@ def likeliest(
     radius_m: float,
     along_sight: Sequence[State] = (),
 ) -> Aligned:
-    """Return the likeliest of the alignments from poses around one, with the others among its errors.
+    """Return the likeliest of several alignments, with the distances of the others in its spread.
 
     The starts lie around the likeliest pose so far.
 
     Args:
         first: the alignment from the prediction.
-        loss: minus the log likelihood of an alignment.
-        aligned_from: the alignment from another start.
-        px_m: motion across the sight that moves the target by a pixel, m.
+        loss: function that returns minus the log likelihood of an alignment.
+        aligned_from: function that returns the alignment from another start.
+        px_m: motion across the line of sight that moves the target by a pixel, m.
         radius_m: radius of the target.
-        along_sight: starts nearer and farther than the first one's end, which are tried before those around.
+        along_sight: starts nearer and farther than the end of ``first``, which are tried first.
     """
     tried = [first, *(aligned_from(start) for start in along_sight)]
     losses = [loss(each) for each in tried]
@@ -161,15 +163,15 @@ def log_likelihoods(
     """Return the log likelihoods of one frame at registered poses, shape (N,), up to a constant.
 
     The losses compare the image as if model, lens and rendering were right to a fraction of a pixel. They are
-    not, and a pose is no better known than its covariance says. By a true log likelihood, a pose drawn from
-    its covariance differs from the likeliest by half a unit for each of the six parameters. Where the losses
-    differ more, the excess is error that no hypothesis explains. It is in both losses of a difference, so
-    that all losses are divided by twice this ratio.
+    not, and a pose is not better known than its covariance states. If the losses were true log likelihoods, a
+    pose drawn from the covariance would differ from the likeliest one by half a unit for each of the six
+    parameters. If the losses differ more, the excess is an error that no hypothesis explains. Both losses of
+    a difference contain it. Therefore all losses are divided by twice the ratio of these differences.
 
     Args:
         found: the poses, each with its range bias and covariance.
-        loss: minus the log likelihood of a pose, which may be too steep.
-        ranked_only: whether the order of the poses is all that counts. Then the losses are not divided.
+        loss: function that returns minus the log likelihood of a pose; it may be too steep.
+        ranked_only: whether only the order of the poses is needed. Then the losses are not divided.
     """
     biases_m = (each.range_bias_m for each in found)
     states = [State(*each) for each in zip(poses_of(found), biases_m, strict=True)]
@@ -190,7 +192,7 @@ def log_likelihoods(
 
 @cache
 def start_steps() -> FloatArray:
-    """Return shifts and unit turns, target axes, shape (``MOST_STARTS``, 2, 3), always the same."""
+    """Return shifts and unit turns of starts, target axes, shape (``MOST_STARTS``, 2, 3); deterministic."""
     even = ndtri(sobol(6, int(np.ceil(np.log2(MOST_STARTS)))))[:MOST_STARTS].reshape(-1, 2, 3)
     even[:, 0] *= SHIFT_SHARE
     even[:, 1] /= np.linalg.norm(even[:, 1], axis=1, keepdims=True)

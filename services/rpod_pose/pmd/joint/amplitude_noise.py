@@ -14,21 +14,23 @@ SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 """Median of the absolute second difference of normal noise over the noise's standard deviation. Physics:
 0.6745 of the standard deviation, and sqrt(1 + 4 + 1) for the difference."""
 LIT = 0.25, 4.0
-"""Limits over the median amplitude: darker pixels are the sky's, brighter ones glint. Hand: as
-``frame_check.BRIGHT``."""
+"""Least and largest amplitude of the target over its median: darker pixels show the sky, brighter ones a
+glint. Hand: as ``frame_check.BRIGHT``."""
 ROUNDS = 4
-"""Iterations in which that median converges. Numerics: a budget of computation."""
+"""Number of iterations of this median. Numerics: a budget of computation, in which it converges."""
 SKY_SAMPLES, FREE = 1000, 0.99
 """Number of pixels from which the brightness beside the target is estimated, and the least share of such a
-pixel that the target leaves free. Numerics: their median is known to a thirtieth of a standard deviation."""
+pixel that the target does not cover. Numerics: their median is known to a thirtieth of a standard
+deviation."""
 
 
 @kernel
 def noise_of(image: Float32Array, least: float) -> float:
     """Return the standard deviation of a pixel's noise where an image, shape (H, W), exceeds ``least``.
 
-    The second difference along a row is independent of brightness and slope, and its median of edges
-    (after J. Immerkaer, Fast Noise Variance Estimation, Computer Vision and Image Understanding 64(2), 1996).
+    The second difference along a row does not depend on brightness and slope, and its median does not depend
+    on edges (after J. Immerkaer, Fast Noise Variance Estimation, Computer Vision and Image Understanding
+    64(2), 1996).
     """
     rows, columns = image.shape
     step = rows * columns // SAMPLES + 1
@@ -42,18 +44,19 @@ def noise_of(image: Float32Array, least: float) -> float:
 
 
 def noise_of_change(blur_px: float) -> float:
-    """Return the noise of a change over two pixels after a Gaussian blur, relative to a pixel's before it.
+    """Return the noise of a change over two pixels after a Gaussian blur, over a pixel's noise before it.
 
-    The blur leaves a variance of 1 / (4 pi s^2) and correlates pixels d apart by exp(-d^2 / (4 s^2)).
+    After a blur of width s, the variance is multiplied by 1 / (4 pi s^2), and pixels d apart have the
+    correlation exp(-d^2 / (4 s^2)).
     """
     correlation = np.exp(-(blur_px**-2.0))
     return float(np.sqrt((1.0 - correlation) / (2.0 * np.pi)) / blur_px)
 
 
 def correlation_px(blur_px: float) -> float:
-    """Return the distance along an edge over which its errors by noise are one error, after a Gaussian blur.
+    """Return the correlation length, px, of an edge's errors by noise along the edge, after a Gaussian blur.
 
-    It is the integral of their correlation exp(-d^2 / (4 s^2)) over all distances d.
+    It is the integral of the correlation exp(-d^2 / (4 s^2)) over all distances d, with s = ``blur_px``.
     """
     return float(2.0 * np.sqrt(np.pi) * blur_px)
 
@@ -61,8 +64,9 @@ def correlation_px(blur_px: float) -> float:
 def typical_of(image: Float32Array, measured: float, depth_m: Float32Array) -> float:
     """Return the median amplitude of the pixels that are neither much darker nor much brighter than it.
 
-    Where a target is small and faint, the sky's noise is not much darker, and has most of the pixels. A
-    result within this noise is the sky's, so that the amplitude of the pixels with depth stays.
+    If a target is small and faint, the noise of the sky is not much darker, and most pixels show the sky. A
+    median within this noise is that of the sky. Then the typical amplitude of the pixels with depth is
+    returned.
 
     Args:
         image: shape (H, W).
@@ -86,7 +90,7 @@ def typical_of(image: Float32Array, measured: float, depth_m: Float32Array) -> f
 
 
 def brightest_of(sky: Float32Array) -> float:
-    """Return the greatest amplitude that the noise of pixels of the sky explains, shape (N,); 0 if none."""
+    """Return the largest amplitude that the noise of pixels of the sky, shape (N,), explains; 0 if none."""
     if not sky.size:
         return 0.0
     median = np.median(sky)

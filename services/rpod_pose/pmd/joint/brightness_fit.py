@@ -1,12 +1,11 @@
 """Fits of a target's brightness to an image, since materials are known only roughly.
 
-Two poses whose edges fit equally well are told apart by what no brightness explains: places of outlines and
-of changes inside (``misfit``). There the brightness of each plane face is free.
-
-Where edges are nearer to each other than the blur, the place of each depends on the brightness of what is
-beside it. A rendering that shows these places has the brightness of each surface fitted (``fitted``). A
-surface is a smooth part of the body of one material. Its faces keep their shading by Lambert's law: with more
-freedom, errors of the pose would be taken for brightness.
+``misfit`` compares poses whose edges fit equally well. It fits the brightness of each plane face, and so
+compares the places of outlines and of changes within the target, which no brightness can explain.
+``fitted`` returns a rendering that predicts the places of edges. If edges are nearer to each other than the
+blur, the place of each depends on the brightness beside it. Therefore the brightness of each surface is
+fitted. A surface is a smooth part of the body, of one material. Its faces keep their shading by Lambert's
+law: with more freedom, errors of the pose would be taken for brightness.
 
 Both fits are non-negative: multiplicative steps of maximum likelihood (MLEM; L. A. Shepp, Y. Vardi, IEEE
 Transactions on Medical Imaging 1(2), 1982) with the image's blur as the system.
@@ -25,29 +24,29 @@ from rpod_pose.pmd.rendering import Window, window_of
 from rpod_schemas.types import Float32Array
 
 ROUNDS = 3
-"""Number of multiplicative steps. Numerics: a budget; the first one fits all of a face but its edges."""
+"""Number of multiplicative steps. Numerics: a budget; the first one fits a face except for its edges."""
 UNEVEN = 0.15
-"""Standard deviation of the brightness within a face, as a share. Hand: half of what surfaces that are not
+"""Relative standard deviation of the brightness within a face. Hand: half of what surfaces that are not
 Lambertian add to the spread of an albedo (``brightness``)."""
 MOST_SIGMAS = 3.0
-"""Greatest residual of a pixel or point that counts, in sigmas. Physics: one in 370 normal errors is
+"""Limit at which the residual of a pixel or point is clipped, in sigmas. Physics: one in 370 normal errors is
 larger; another body or a shadow is an outlier."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
 HELD = 0.01
-"""Weight of the brightness by the file, over that of a pixel of one part. Numerics: that of one pixel that
-shows several parts."""
+"""Weight of the brightness that the target's file gives, over that of a pixel of one part. Numerics: that of
+one pixel that shows several parts."""
 TYPICAL_SAMPLES = 20_000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
 computation; all pixels of a target of 140 by 140."""
 
 MIXED_PIXEL = -2
-"""Stands for the triangle of a pixel whose rays meet several. Numerics: no triangle has this number."""
+"""Index of the triangle for a pixel whose rays meet several triangles. Numerics: no triangle has it."""
 
 
 class Mixture(NamedTuple):
-    """Shares of the target's parts, plane faces or surfaces, in the pixels of a window; M in all."""
+    """Contributions of the target's parts (plane faces or surfaces) to the pixels of a window; M in all."""
 
     window: Window
     pixel: NDArray[np.int32]
@@ -57,11 +56,11 @@ class Mixture(NamedTuple):
     light: Float32Array
     """Brightness that the part adds to the pixel, shape (M,)."""
     alone: NDArray[np.int32]
-    """Number of the part that a pixel shows alone, -1 for others or the sky, shape (rows, columns)."""
+    """Number of the only part that a pixel shows, -1 for several or the sky, shape (rows, columns)."""
 
 
 class ByFile(NamedTuple):
-    """The rendering with the materials of the target's file."""
+    """A rendering with the materials of the target's file."""
 
     shade: Float32Array
     """Smoothed brightness, clipped like the image, on the pixels of the window."""
@@ -74,7 +73,7 @@ def rendered_by_file(mixture: Mixture, *, clip: float, blur_px: float) -> ByFile
 
     Args:
         mixture: the parts that the pixels show at a pose.
-        clip: greatest brightness, over the typical one.
+        clip: largest brightness, over the typical one.
         blur_px: standard deviation of the blur.
     """
     shade, typical = clipped(mixture, clip)
@@ -84,13 +83,13 @@ def rendered_by_file(mixture: Mixture, *, clip: float, blur_px: float) -> ByFile
 def fitted(patch: Patch, mixture: Mixture, by_file: ByFile, *, clip: float, blur_px: float) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
-    A part of few pixels, or of none that it has for itself, keeps the brightness by the file.
+    A part with few pixels, or without a pixel that shows only this part, keeps the brightness of the file.
 
     Args:
         patch: the image, smoothed.
         mixture: the parts that the pixels show at a pose.
-        by_file: the same rendering with the materials of the file.
-        clip: greatest brightness of image and rendering, over the typical one.
+        by_file: the rendering with the materials of the file.
+        clip: largest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
     """
     return _fitted(patch, mixture, by_file, clip, blur_px)
@@ -99,9 +98,9 @@ def fitted(patch: Patch, mixture: Mixture, by_file: ByFile, *, clip: float, blur
 def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
     """Return minus the log likelihood of an image at a pose, with the brightness of parts and sky fitted.
 
-    All pixels have the same weight in this fit. Pixels that one blur covers share their errors: the sum is
-    divided by the area 4 pi blur^2 of its autocorrelation. The sky may be a wall: if it were taken for dark,
-    a pose that hides more of it would be likelier. Arguments as for ``fitted``.
+    All pixels have the same weight. Pixels within one blur share their errors, so the sum is divided by the
+    area 4 pi blur^2 of the blur's autocorrelation. A wall may be behind the target: if the sky were assumed
+    to be dark, a pose that hides more of the wall would be likelier. Arguments as for ``fitted``.
     """
     free = _uncovered(mixture, blur_px)
     sky = sky_of(patch, free, mixture.window)
@@ -123,8 +122,8 @@ def _fitted(
 ) -> Float32Array:
     """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
 
-    With the brightness ``behind`` the target, shape as the window, all pixels count alike, and the file does
-    not. Without it, pixels that show one part alone decide, and the file where there is none.
+    With the brightness ``behind`` the target, shape as the window, all pixels have the same weight, and the
+    file has none. Without it, pixels that show a single part decide, or the file for a part without any.
     """
     (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
     image, alone = patch.image[row : row + rows, column : column + columns], behind is None
@@ -150,28 +149,29 @@ def _blurred(image: Float32Array, blur_px: float) -> Float32Array:
 
 @kernel
 def faintest(patch: Patch) -> float:
-    """Return the least brightness that counts: what differs by less is no change of the image."""
+    """Return the brightness below which differences are no change of the image."""
     return 0.5 * patch.least
 
 
 def _uncovered(mixture: Mixture, blur_px: float) -> Float32Array:
-    """Return how much of each pixel of the window the target leaves free, smoothed, shape (rows, columns)."""
+    """Return the smoothed share of each pixel that the target does not cover, shape (rows, columns)."""
     free = np.ones(mixture.alone.size, np.float32)
     free[mixture.pixel] = np.where(mixture.alone.ravel()[mixture.pixel] >= 0, 0.0, 0.5)
     return _blurred(free.reshape(mixture.alone.shape), blur_px)
 
 
 class Behind(NamedTuple):
-    """A rendering before a sky of one brightness."""
+    """A rendering in front of a sky of constant brightness."""
 
     image: Float32Array
-    """On the pixels of the window, shape (rows, columns); ``sky`` is the brightness beyond them."""
+    """Brightness on the pixels of the window, shape (rows, columns)."""
     sky: float
+    """Brightness of all other pixels."""
 
 
 @kernel
 def squares_of(patch: Patch, rendered: Behind, window: Window) -> float:
-    """Return the sum of the squared residuals of an image's pixels, in sigmas, at most ``MOST_SIGMAS`` each.
+    """Return the sum of an image's squared residuals, in sigmas, each clipped at ``MOST_SIGMAS``.
 
     Args:
         patch: the image.
@@ -234,10 +234,10 @@ def mixture_of(
 
 @inner_kernel
 def one_of(triangle: NDArray[np.int32], per_px: int, window: Window) -> tuple[NDArray[np.int32], int]:
-    """Return the triangle that all rays of each pixel of a window meet, shape (rows, columns), and a number.
+    """Return the triangle that all rays of each pixel of a window meet, shape (rows, columns), and a count.
 
-    It is -1 if none meets any, ``MIXED_PIXEL`` if they meet several. The number is at least that of the
-    parts in the pixels.
+    The triangle is -1 if no ray meets any, and ``MIXED_PIXEL`` if the rays meet several. The count is an
+    upper limit of the number of contributions of parts to the pixels.
 
     Args:
         triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
@@ -265,11 +265,11 @@ def one_of(triangle: NDArray[np.int32], per_px: int, window: Window) -> tuple[ND
 
 @kernel
 def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
-    """Return the brightness of the pixels by the file, shape (rows, columns), and its median.
+    """Return the brightness of the pixels with the materials of the file, (rows, columns), and its median.
 
     Args:
         mixture: the parts that the pixels show.
-        clip: greatest brightness over the median.
+        clip: largest brightness over the median.
     """
     image = np.zeros(mixture.alone.size, np.float32)
     for n in range(mixture.pixel.size):
@@ -290,12 +290,12 @@ def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
 def _add(
     numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], share: tuple[int, float]
 ) -> int:
-    """Add a ray's light to its part in a pixel; return the number of shares so far.
+    """Add a ray's light to the contribution of its part to a pixel; return the number of contributions.
 
     Args:
-        numbers: parts of the shares, shape (M,) or more, input and output.
-        lights: their light, same shape, input and output.
-        span: first share of the pixel, and number of shares so far.
+        numbers: parts of the contributions, shape (M,) or more, input and output.
+        lights: light of the contributions, same shape, input and output.
+        span: index of the pixel's first contribution, and number of all contributions so far.
         share: part that the ray meets, and brightness that it adds.
     """
     (first, count), (number, light) = span, share
@@ -314,7 +314,7 @@ def weights(alone: NDArray[np.int32]) -> Float32Array:
     """Return the weight of each pixel in the fit: 1 if it and its neighbours show one part, else ``MIXED``.
 
     Args:
-        alone: part that each pixel shows alone, -1 for none, shape (rows, columns), as the result.
+        alone: the only part that each pixel shows, -1 for none, shape (rows, columns), like the result.
     """
     rows, columns = alone.shape
     weight = np.full((rows, columns), MIXED, np.float32)
@@ -336,7 +336,7 @@ def mixed(gain: Float32Array, mixture: Mixture, most: np.float32) -> Float32Arra
     Args:
         gain: factor on the brightness of each part, shape (K,).
         mixture: the parts that the pixels show.
-        most: greatest brightness; inf for none.
+        most: largest brightness; inf for none.
     """
     image = np.zeros(mixture.alone.size, np.float32)
     for n in range(mixture.pixel.size):
@@ -351,9 +351,9 @@ def ratio_of(image: Float32Array, rendered: Float32Array, faint: np.float32) -> 
     """Return image over rendering, with ``faint`` added to both.
 
     Args:
-        image: shape (rows, columns), as the result.
+        image: shape (rows, columns), like the result.
         rendered: same shape.
-        faint: least brightness that counts.
+        faint: brightness that is added to both.
     """
     ratio = np.empty(image.shape, np.float32)
     for i in range(image.shape[0]):
@@ -374,7 +374,7 @@ def adapt(
 
     Args:
         gain: factor on the brightness of each part, shape (K,), input and output.
-        prior: factor by the file, the same for all parts, and its weight in pixels of one part.
+        prior: factor that the file gives, the same for all parts, and its weight in pixels of one part.
         mixture: the parts that the pixels show.
         weight: weight of each pixel, shape (rows, columns).
         ratio: image over rendering, shape (rows, columns).

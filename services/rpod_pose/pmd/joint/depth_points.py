@@ -1,17 +1,17 @@
-"""Points of a frame's depth, and their residuals: distances from the planes of the faces that pixels show.
+"""Points of a frame's depth image, and their residuals: distances from the target's surface.
 
-A point is the mean of nine pixels, whose scatter about a plane tells its noise.
+A point is the trimmed mean of nine pixels, and their scatter about a plane gives its noise.
 
-The distance field needs no correspondence, so that a pose converges in it from afar. But it is known on the
-nodes of a grid alone, and trilinear between them. Around convex edges, and around parts that are thinner than
-a cell, it says that the surface itself lies outside: by a share of a cell, which is far more than the noise
-of the ranges if the target is large and the camera close. Where a rendering near the pose tells on which face
-a pixel's ray ends, the residual is the distance from the plane of that face, which is exact (projective point
-to plane, G. Blais, M. D. Levine, IEEE PAMI 17, 1995).
+The distance field needs no correspondence, so that a pose converges in it from afar. But its values are known
+only on the nodes of a grid, and are trilinear between them. Around convex edges, and around parts that are
+thinner than a cell, it is wrong by a share of a cell: it is positive on the surface itself. For a large
+target and a close camera, this error is much larger than the noise of the ranges. Therefore a rendering near
+the pose determines the face on which a pixel's ray ends. The residual is then the distance from the plane of
+that face, which is exact (projective point to plane, G. Blais, M. D. Levine, IEEE PAMI 17, 1995).
 
-At an outline a pixel may show another face than the rendering. The field is off by a cell at most, so that a
-plane that is farther from the point than the field says, by more than a cell, is that of another face. Such a
-point keeps the field's distance.
+At an outline a pixel may show another face than the rendering. The error of the field is at most one cell. So
+if the distance from the plane exceeds that in the field by more than a cell, the plane is that of another
+face. Such a point keeps the field's distance.
 """
 
 import math
@@ -34,28 +34,28 @@ from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Float32Array
 
 OUTER = 4
-"""Divisor of the trim: one over it of the sorted ranges is left out at each end, the others are averaged.
-Hand: two of nine outliers do no harm at either end."""
+"""Inverse of the share of sorted ranges that the trimmed mean leaves out at each end. Hand: two outliers
+among nine ranges do no harm at either end."""
 MIDDLE_OVER_MEAN = 1.06
-"""Standard deviation of the trimmed mean over that of the mean of all. Physics: normal errors; 1.07 for nine,
-and 1 for three, of which none is left out."""
+"""Standard deviation of the trimmed mean over that of the mean of all ranges. Physics: with normal errors it
+is 1.07 for nine ranges, and 1 for three, of which none is left out."""
 FEWEST = 3
 """Least number of valid depths among nine. Hand: fewer are found on outlines and ghosts."""
 
 
 class DepthImages(NamedTuple):
-    """The images of a frame, as the kernel takes them."""
+    """The images of a frame in the form that the kernel takes."""
 
     depth_m: Float32Array
-    """z-depth, shape (height, width); NaN or 0 without one."""
+    """z-depth, m, shape (height, width); NaN or 0 if a pixel has none."""
     amplitude: Array
     """Amplitude, same shape."""
     least: Float32Array
-    """Least amplitude of a pixel whose depth counts, same shape."""
+    """Least amplitude at which the depth of a pixel is used, same shape."""
 
 
 class CoarseRanges(NamedTuple):
-    """Measurements of the coarse pixels with their eight neighbours; each array is (rows, columns)."""
+    """Measurements of the coarse pixels with their eight neighbours, each of shape (rows, columns)."""
 
     range_m: FloatArray
     """Trimmed mean range of the nine; NaN if fewer than ``FEWEST`` have depth or the pixel is too dark."""
@@ -73,15 +73,15 @@ def coarse_ranges(
 ) -> CoarseRanges:
     """Return the measurements of every ``stride``-th pixel with its neighbours.
 
-    The nine ranges are sorted, a quarter is left out at each end, and the others are averaged, so that a
-    mixed pixel at an outline does not shift the result. The noise is the standard deviation of that mean,
-    from the scatter of the nine about a plane.
+    The range is a trimmed mean: the nine ranges are sorted, and a quarter is left out at each end, so that a
+    mixed pixel at an outline does not shift the result. The noise is the standard deviation of that mean. It
+    is estimated from the scatter of the nine about a plane.
 
     Args:
         images: images of the frame.
         rays_z: z component of the coarse pixels' unit rays, shape (rows, columns).
         pixels: positions of the coarse pixels; all lie in the image.
-        steepest: greatest change of a face's depth from one pixel to the next, over the depth.
+        steepest: largest change of a face's depth from one pixel to the next, over the depth.
     """
     depth, amplitude, least = images
     height, width = depth.shape
@@ -123,13 +123,13 @@ class Planes(NamedTuple):
     """Planes of the faces that the points' pixels show at a pose, target axes."""
 
     normals: FloatArray
-    """Outward unit normals, shape (N, 3); zero where the pixel shows none."""
+    """Outward unit normals, shape (N, 3); zero if the pixel shows no face."""
     offsets_m: FloatArray
     """Offsets n . q of the planes, shape (N,)."""
 
     @classmethod
     def none(cls, count: int) -> Self:
-        """Return no plane for any of a number of points."""
+        """Return the planes of ``count`` points whose pixels show no face."""
         return cls(np.zeros((count, 3)), np.zeros(count))
 
     @classmethod
@@ -151,13 +151,13 @@ def add_depth_points(  # noqa: PLR0917
 ) -> FieldEvidence:
     """Add the factors of measured points to the sums, shape (35,); return their evidence.
 
-    If ranges are too long by the bias b, a point lies at q - b d, d its ray in target axes: the residual's
-    derivative by b is minus its normal along the ray.
+    If ranges are too long by the bias b, a point lies at q - b d, where d is its unit ray in target axes. So
+    the derivative of the residual with respect to b is -n . d with the normal n.
 
     Args:
         sums: information and gradient, input and output.
         points: N measured points.
-        planes: their planes.
+        planes: planes of the faces that the points' pixels show.
         state: pose and bias to linearise at.
         field: the target's distance field.
         scale: Geman-McClure scale, m, above 0.

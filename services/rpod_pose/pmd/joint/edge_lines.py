@@ -1,9 +1,10 @@
-"""Errors of edges that are the same along a line, as the lines of one frame show them.
+"""Estimation, from one frame, of errors that are the same along the whole line of an edge.
 
 Shading, blur and the rendering's brightness shift an edge along its whole length. So its samples are not
-independent, and no number of samples averages such an error out. The size of these errors follows from how
-far the pose would move without one line: the jackknife over groups (B. Efron, The Jackknife, the Bootstrap
-and Other Resampling Plans, SIAM 1982, chapter 3), with the groups' own steps in place of new minimisations.
+independent, and no number of samples averages such an error out. The size of these errors follows from the
+motion of the pose when one line is left out. This is the jackknife over groups (B. Efron, The Jackknife, the
+Bootstrap and Other Resampling Plans, SIAM 1982, chapter 3), with a linear step for each group in place of a
+new minimisation.
 """
 
 from typing import NamedTuple
@@ -19,24 +20,24 @@ from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, infor
 from rpod_schemas.arrays import FloatArray
 
 MOST_LEVERAGE = 0.75
-"""Largest share of the information about a motion that a line may have in the jackknife. Hand: without a line
-that has more, the frame would not determine the motion, and the linear step would be too large."""
+"""Largest share of the information about a motion that a line may have in the jackknife. Hand: if a line with
+a larger share is left out, the frame does not determine the motion, and the linear step is too large."""
 OF_POSE = 6
 """Number of unknowns of a pose. Physics: three of position, three of attitude."""
 
 
 class Lines(NamedTuple):
-    """Sums over the samples of each line."""
+    """Normal equations of the samples of each of L lines, for (dtau, dtheta, bias)."""
 
     gradients: FloatArray
     """Gradients, shape (L, 7)."""
     informations: FloatArray
-    """Information, shape (L, 7, 7)."""
+    """Information matrices, shape (L, 7, 7)."""
 
 
 @kernel
 def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray[np.intp]) -> Lines:
-    """Return the sums over the samples of each line of edges, with the weights of all residuals.
+    """Return the normal equations of each line of edges, with the weights that all residuals have.
 
     Args:
         problem: the frame, with the expected samples.
@@ -70,13 +71,13 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
 
 
 def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> FloatArray:
-    """Return the covariance of (dtau, dtheta, bias) by errors that are the same along a line, shape (7, 7).
+    """Return the covariance of (dtau, dtheta, bias) from errors that are the same along a line, shape (7, 7).
 
-    Of L lines, as many as there are unknowns of the pose tell nothing of their errors. In their share, the
-    result is that of independent samples.
+    Six of L lines only determine the pose and give no information about their errors. Therefore the result is
+    a weighted mean, in which the covariance for independent samples has the weight 6 / L.
 
     Args:
-        lines: sums of the lines.
+        lines: normal equations of the lines.
         covariance: covariance by all residuals and priors, shape (7, 7).
         samples: covariance if the errors of all samples were independent, shape (7, 7).
     """
@@ -85,16 +86,16 @@ def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> F
     number = len(gradients)
     if number <= OF_POSE:
         return samples
-    # in coordinates in which the whole information is the identity, eigenvalues are shares of it
+    # in coordinates in which the whole information is the identity, eigenvalues of a line are its shares
     root = np.linalg.cholesky(covariance)
     whole, scaled = root.T @ informations @ root, gradients @ root
-    large = np.einsum("lii->l", whole) > MOST_LEVERAGE  # the sum of the shares: others have no larger one
+    large = np.einsum("lii->l", whole) > MOST_LEVERAGE  # if the sum of the shares is smaller, each share is
     steps = np.empty_like(scaled)
     steps[~large] = np.linalg.solve(np.eye(UNKNOWNS) - whole[~large], scaled[~large, :, None])[..., 0]
     shares, vectors = np.linalg.eigh(whole[large])
     along = np.einsum("lji,lj->li", vectors, scaled[large]) / (1.0 - np.minimum(shares, MOST_LEVERAGE))
     steps[large] = np.einsum("lij,lj->li", vectors, along)
     moved = steps @ root.T
-    told = (number - OF_POSE) / number
-    found: FloatArray = told * (number - 1) / number * moved.T @ moved + (1.0 - told) * samples
+    weight = (number - OF_POSE) / number
+    found: FloatArray = weight * (number - 1) / number * moved.T @ moved + (1.0 - weight) * samples
     return found

@@ -1,7 +1,7 @@
-"""Samples of the target's edges that an amplitude image shows at their true position.
+"""Samples of those edges of the target that an amplitude image shows at their true position.
 
-The outline of a curved surface is left out: the surface darkens towards its limb, so that the steepest change
-of the image is a pixel or more away from it.
+The outline of a curved surface is left out. Such a surface darkens towards its limb, so that the steepest
+change of the image is a pixel or more away from the outline.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from rpod_target import Target
 from rpod_target.mesh.topology import components, edges
 
 CREASE_RAD = np.radians(15.0)
-"""Least angle between faces at an edge. Hand: below, they belong to one curved surface, which darkens towards
-its limb."""
+"""Least angle between two faces at an edge. Hand: with a smaller angle they belong to one curved surface,
+which darkens towards its limb."""
 
 
 BEND_RAD = np.radians(35.0)
-"""Largest turn at which an edge continues another one. Physics: between a hexagon's 60 deg and a 12-sided
-circle's 30 deg."""
+"""Largest angle between two edges of one line. Physics: between a hexagon's 60 deg and the 30 deg of a circle
+of 12 sides."""
 WELD = 1e-6
-"""Greatest distance of two ends that are one, over the target's extent. Numerics: the rounding of a mesh in
-single precision."""
+"""Largest distance of two ends that count as the same point, over the target's extent. Numerics: the rounding
+of a mesh in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,13 @@ class EdgeModel:
     spreads: FloatArray
     """Standard deviations of the logarithms of the faces' albedos, shape (N, 2)."""
     parts: NDArray[np.intp]
-    """Number of the target's part with each sample, shape (N,)."""
+    """Index of the target's part to which each sample belongs, shape (N,)."""
     lines: NDArray[np.intp]
-    """Number of the line of each sample, from 0 on, shape (N,): edges of a part that continue each other."""
+    """Index of each sample's line, shape (N,). A line is a sequence of edges that continue each other."""
 
     @classmethod
     def of(cls, target: Target, *, spacing_m: float) -> "EdgeModel":
-        """Return samples of a target's edges at most ``spacing_m`` apart."""
+        """Return samples of a target's edges with distances of at most ``spacing_m``."""
         parts = [
             _edges_of_part(target, np.flatnonzero(target.triangle_part == part))
             for part in range(len(target.parts))
@@ -76,14 +76,15 @@ class EdgeModel:
 
     @property
     def arrays(self) -> EdgeArrays:
-        """The samples as the kernels take them."""
+        """The samples in the form that the kernels take."""
         return EdgeArrays(self.places_m, self.directions, self.normals, self.spreads)
 
 
 def _lines(segments_m: FloatArray, parts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the number of the line of each segment, shape (E,).
+    """Return the index of the line of each segment, shape (E,).
 
-    Two segments of a part that share an end are of one line if they turn there by less than ``BEND_RAD``.
+    Two segments of a part that share an end belong to one line if the angle between them is less than
+    ``BEND_RAD``.
     """
     if not len(segments_m):
         return np.zeros(0, np.intp)
@@ -100,9 +101,10 @@ def _lines(segments_m: FloatArray, parts: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _edges_of_part(target: Target, triangles: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the edges of one part, shape (E, 2, 3), the normals and the spreads beside them.
+    """Return the edges of one part, and the normals and spreads of the faces on both sides.
 
-    Normals have the shape (E, 2, 3), spreads (``EdgeModel.spreads``) the shape (E, 2).
+    Edges are given by their ends, shape (E, 2, 3), m. Normals have the shape (E, 2, 3), spreads
+    (``EdgeModel.spreads``) the shape (E, 2).
     """
     segments_m, faces = edges(target.triangles_m[triangles])
     faces = triangles[faces]

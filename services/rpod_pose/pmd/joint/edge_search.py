@@ -1,7 +1,7 @@
-"""Search of an edge in an amplitude image: along the projected edge's normal for the steepest change.
+"""Search for an edge in an amplitude image: the steepest change along the normal of the projected edge.
 
-Near changes are preferred, and the place is found to sub-pixels by a parabola (after T. Drummond, R. Cipolla,
-Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
+Near changes are preferred, and a parabola gives the place with subpixel accuracy (after T. Drummond, R.
+Cipolla, Real-Time Visual Tracking of Complex Structures, IEEE PAMI 24(7), 2002).
 """
 
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 SHORTEST = 1e-9
-"""Least length of a unit vector along an edge in the image, over the focal length. Numerics: it avoids a
-division by zero; an edge seen from its end has no direction."""
+"""Least length in the image of a projected unit vector along an edge, over the focal length. Numerics: it
+avoids a division by zero; an edge seen from its end has no direction."""
 MOST_REACH = 32
-"""Greatest length of a profile in both directions, px. Numerics: a budget of computation."""
+"""Largest length of a profile in each direction, px. Numerics: a budget of computation."""
 FLAT = 0.02
-"""Least change along a profile over the change that counts. Hand: noise changes more, glints and blackouts
-less."""
+"""Least range of amplitudes along a profile that can be searched, over the least change that counts. Hand:
+the range by noise is larger, that in saturated and dark areas is smaller."""
 NOT_SATURATED = np.zeros((0, 0), np.uint8)
 """Mask of an image without saturated pixels."""
 MIDDLE = 2
-"""Half length of the middle of a profile, px. Hand: an edge in its predicted place changes there first."""
+"""Half length of the middle of a profile, px. Hand: an edge in its predicted place lies in this part."""
 
 
 class Lens(NamedTuple):
@@ -45,7 +45,7 @@ class Lens(NamedTuple):
 
 
 class EdgeArrays(NamedTuple):
-    """Samples of the target's edges, as the kernels take them."""
+    """Samples of the target's edges in the form that the kernels take (``edge_model.EdgeModel``)."""
 
     places_m: FloatArray
     """Positions of the samples, target axes, shape (N, 3)."""
@@ -54,16 +54,16 @@ class EdgeArrays(NamedTuple):
     normals: FloatArray
     """Normals of the faces on both sides, target axes, shape (N, 2, 3)."""
     spreads: FloatArray
-    """Standard deviations of the logarithms of their albedos, shape (N, 2)."""
+    """Standard deviations of the logarithms of the faces' albedos, shape (N, 2)."""
 
 
 class CoarsePixels(NamedTuple):
-    """Positions of the rendered pixels in the image."""
+    """Positions in the image of the coarse pixels: every ``stride``-th one along rows and columns."""
 
     stride: int
-    """Distance from one to the next, px, at least 1."""
+    """Distance from one coarse pixel to the next, px, at least 1."""
     offset: int
-    """Row and column of the first, px."""
+    """Row and column of the first coarse pixel, px."""
 
 
 class Patch(NamedTuple):
@@ -80,13 +80,13 @@ class Patch(NamedTuple):
     noise: float
     """Standard deviation of a change of amplitude over two pixels."""
     typical: float
-    """Median amplitude of the target; 0 if nothing is searched."""
+    """Median amplitude of the target; 0 if no edge is searched."""
     saturated: NDArray[np.uint8] = NOT_SATURATED
     """1 where saturated pixels shift edges, shape (rows, columns); shape (0, 0) if none is saturated."""
 
 
 class Imaged(NamedTuple):
-    """Pixel that images a pair of slopes, and the derivatives by the slopes, px."""
+    """Pixel to which slopes x / z and y / z are projected, and its derivatives with respect to them, px."""
 
     column: float
     row: float
@@ -113,14 +113,14 @@ class Step(NamedTuple):
     """The steepest change along a line."""
 
     place: float
-    """Position along the line from its middle, px."""
+    """Position along the line, relative to its middle, px."""
     change: float
-    """Change of amplitude over two pixels; 0 if none counts, negative if the line cannot be searched."""
+    """Change of amplitude over two pixels; 0 if none is large enough, -1 if the line cannot be searched."""
 
 
 @kernel
 def imaged(x: float, y: float, lens: Lens) -> Imaged:
-    """Return the pixel that images the slopes x / z and y / z, and the derivatives by them.
+    """Return the pixel to which the slopes x / z and y / z are projected, and its derivatives.
 
     Source: the rational model of OpenCV's camera calibration, of which plumb_bob is a part; derivatives by
     the product and quotient rules, with d r^2 = 2 x dx + 2 y dy.
@@ -146,7 +146,7 @@ def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: fl
 
     Args:
         at: the pixel of a sample of the edge, with its derivatives.
-        towards: direction of the edge, sensor axes.
+        towards: unit vector along the edge, sensor axes.
         x: slope x / z of the sample.
         y: slope y / z of the sample.
     """
@@ -163,7 +163,7 @@ def across_edge(at: Imaged, towards: tuple[float, float, float], x: float, y: fl
 def steepest(image: Float32Array, line: Profile, reach: float, least: float) -> Step:
     """Return the position and size of the steepest change along a line.
 
-    A line cannot be searched if it leaves the image, is dark in its middle, or is clipped all along.
+    A line cannot be searched if it leaves the image, is dark in its middle, or is clipped along its length.
 
     Args:
         image: shape (rows, columns).

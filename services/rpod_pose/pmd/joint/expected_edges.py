@@ -1,18 +1,19 @@
-"""The edges that a rendering of the target shows, and the place at which it shows each.
+"""The edges that a rendering of the target shows, with the place and the probability of each.
 
-A model's edge is not always an edge of the image. It may be hidden, its faces may be equally bright, and
-edges less than a pixel apart merge into one. Therefore the target is rendered at the pose on the camera's own
-pixels, as a Lambertian body lit from the camera with the albedo of its classes (``brightness``), and smoothed
-like the image. The steepest change of the rendering beside an edge is the place at which the image should
-show that edge: both places are found by the same search (``steepest``), so that neighbours shift both alike.
-For the place, the brightness of each surface is fitted to the image (``brightness_fit.fitted``): how far a
-neighbour shifts an edge depends on which of them is brighter.
+An edge of the model is not always an edge of the image. It may be hidden, its faces may be equally bright,
+and edges less than a pixel apart merge into one. Therefore the target is rendered at the pose on the camera's
+own pixels, as a Lambertian body lit from the camera with the albedo of its classes (``brightness``), and is
+smoothed like the image. The image should show an edge where the rendering has its steepest change beside this
+edge. Both places are found by the same search (``steepest``), so that neighbours shift both in the same way.
+How far a neighbour shifts an edge depends on which of them is brighter. Therefore the brightness of each
+surface is fitted to the image first (``brightness_fit.fitted``).
 
 A user knows materials only roughly. If the logarithm of the change has a standard deviation s, then the
 probability that the image shows more than the least change that counts is Phi(ln(change / least) / s). s
-contains the spread of the albedo's logarithm and the noise of the image over the least change: what is near
-that change decides. An edge that the rendering does not show is searched in its geometric place, since its
-faces may differ more than their classes do; but its probability is 0, so it proves nothing if it is missing.
+contains the spread of the albedo's logarithm, and the noise of the image over the least change, which matters
+for changes near the least one. An edge that the rendering does not show is searched in its geometric place,
+since its faces may differ more than their classes do. But its probability is 0, so its absence proves
+nothing.
 """
 
 import math
@@ -48,25 +49,25 @@ from rpod_schemas.types import Float32Array
 from rpod_target import Target
 
 STILL_PX = 0.5
-"""Motion in the image up to which a rendering still shows which edges to expect. Physics: its rays are half a
-pixel apart."""
+"""Largest motion in the image after which a rendering is still valid. Physics: its rays are half a pixel
+apart."""
 OWN_PX = 1.0
-"""Greatest distance of a change of the rendering that still belongs to the edge. Physics: a pixel's width."""
+"""Largest distance between an edge and its change in the rendering. Physics: the width of a pixel."""
 MERGED_PX = 1.7
-"""Distance up to which two edges are one change of the image. Physics: two steps under a normal blur have one
-steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
+"""Largest distance of two edges that are one change of the image. Physics: two steps under a normal blur have
+one steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
-"""Displacement below which two edges are the same. Physics: rays half a pixel apart do not resolve less."""
+"""Displacement of an edge that counts as 0. Physics: rays half a pixel apart do not resolve less."""
 DIRECTIONS = 4
-"""Number of directions of edges that are told apart in a pixel. Hand: 45 deg apart; closer ones are one
-change."""
+"""Number of directions of edges that are distinguished in a pixel. Hand: they are 45 deg apart; edges that
+are closer are one change."""
 LEAST_RATIO = 0.3
-"""Least change of a rendering over the least change that counts. Hand: a fainter one tells nothing of the
-place."""
+"""Least change of a rendering over the least change that counts. Hand: a smaller one gives no place of the
+edge."""
 
 
 class Appearance(NamedTuple):
-    """The target as its rendering needs it."""
+    """Shape and albedo of the target for its rendering."""
 
     triangles_m: FloatArray
     """Corners, target axes, shape (T, 3, 3)."""
@@ -85,21 +86,21 @@ class Appearance(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """The target rendered at a pose on the pixels of the patch."""
+    """A rendering of the target at a pose on the pixels of the patch."""
 
     pose: PoseArrays
     range_m: Float32Array
-    """Range along each ray, inf without a hit, shape (per_px * rows, per_px * columns)."""
+    """Range along each ray, shape (per_px * rows, per_px * columns); inf if it hits nothing."""
     per_px: int
     """Number of rays for each pixel, along rows and columns."""
     window: Window
     """The pixels around the target."""
     shade: Float32Array
-    """Smoothed brightness by the materials of the file, on the pixels of the window."""
+    """Smoothed brightness with the materials of the file, on the pixels of the window."""
     typical: float
     """Median brightness before smoothing; 0 if nothing is in view."""
     fitted: Float32Array
-    """Smoothed brightness, in units of the image, with that of each surface fitted to it; same pixels."""
+    """Smoothed brightness, with that of each surface fitted to the image and in its units; same pixels."""
 
 
 class PatchRenderer:
@@ -107,7 +108,7 @@ class PatchRenderer:
 
     Args:
         target: the target.
-        config: how the image is clipped and smoothed, so that the rendering is too.
+        config: how the image is clipped and smoothed, which applies to the rendering too.
     """
 
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
@@ -121,7 +122,7 @@ class PatchRenderer:
         return self._appearance.radius_m
 
     def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
-        """Return the first hits of a patch's rays at a pose, valid until the next call."""
+        """Return the first hits of a patch's rays at a pose; the next call overwrites them."""
         rows, columns = rays.components.shape[1:]
         if self._room.shape[1] < rows * columns:
             self._room = np.empty((2, rows * columns), np.float32)
@@ -131,7 +132,7 @@ class PatchRenderer:
         return hits
 
     def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
-        """Return the target at a pose; its ranges are valid until the next call.
+        """Return a rendering of the target at a pose; the next call overwrites its ranges.
 
         Args:
             rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
@@ -158,23 +159,23 @@ class PatchRenderer:
 
 
 class ExpectedEdges(NamedTuple):
-    """Samples that the image may show; each array has the shape (N,)."""
+    """Samples of edges that the image may show; each array has the shape (N,)."""
 
     pose: PoseArrays
     """Pose of the rendering."""
     sample: NDArray[np.int64]
-    """Their indices in the model."""
+    """Indices of the samples in the model."""
     place: FloatArray
-    """Distance from the projected edge to the rendering's change, along the profile, px."""
+    """Distance along the profile from the projected edge to the rendering's change, px."""
     probability: FloatArray
     """Probability that the image shows the change; 0 if the rendering does not show it."""
     change: FloatArray
     """Expected change of amplitude over two pixels."""
     merged: NDArray[np.bool_]
-    """Whether the rendering shows another edge so near that the image may show that one alone."""
+    """Whether the rendering shows another edge so near that the image may show only that one."""
 
     def only(self, chosen: NDArray[np.bool_]) -> "ExpectedEdges":
-        """Return the chosen samples; a mask of shape (N,)."""
+        """Return the samples that a mask, shape (N,), selects."""
         return ExpectedEdges(
             self.pose,
             self.sample[chosen],
@@ -186,7 +187,7 @@ class ExpectedEdges(NamedTuple):
 
 
 class EdgeSight(NamedTuple):
-    """Edges and the image in which they are searched."""
+    """The edges that one image should show at a pose, and the image."""
 
     edges: EdgeArrays
     lens: Lens
@@ -197,7 +198,7 @@ class EdgeSight(NamedTuple):
 
 @kernel
 def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> ExpectedEdges:
-    """Return the samples of edges that a rendering does not hide.
+    """Return the samples of edges that are visible in a rendering.
 
     Args:
         edges: the model's samples.
@@ -257,7 +258,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
 
 @inner_kernel
 def own_change(shade: Float32Array, profile: Profile, least: float) -> tuple[float, float]:
-    """Return the change of a rendering that belongs to an edge, and its place, px; zeros if there is none.
+    """Return the change of a rendering that belongs to an edge, and its place, px; 0, 0 if there is none.
 
     Args:
         shade: the rendering, shape (rows, columns).
@@ -275,7 +276,7 @@ def shown_probability(change: float, spread: float, patch: Patch) -> float:
 
     Args:
         change: expected change of amplitude over two pixels.
-        spread: standard deviation of its logarithm by the materials.
+        spread: standard deviation of its logarithm caused by the materials.
         patch: the image, with its noise and the least change that counts.
     """
     deviation = math.hypot(spread, patch.noise / patch.least)
@@ -284,13 +285,14 @@ def shown_probability(change: float, spread: float, patch: Patch) -> float:
 
 @kernel
 def add_in_place(in_place: FloatArray, share: float, is_found: bool) -> None:
-    """Add an edge to the sums of those in place (``EdgeEvidence.in_place``).
+    """Add an edge to the sums of ``EdgeEvidence.in_place``.
 
-    Its weight is the information that a missing edge would be, minus the logarithm of its probability.
+    The weight of an edge is the information that its absence would give: minus the logarithm of the
+    probability that it is not found at the right pose.
 
     Args:
         in_place: sums, input and output, shape (3,).
-        share: probability of finding it near its place at the right pose.
+        share: probability of finding the edge near its place at the right pose.
         is_found: whether it was found there.
     """
     weight = -math.log1p(-share)
@@ -301,7 +303,7 @@ def add_in_place(in_place: FloatArray, share: float, is_found: bool) -> None:
 
 
 class Sights:
-    """The edges that the image of one frame should show, at the poses that were asked for.
+    """Predicts the edges that the image of one frame should show, and remembers the renderings.
 
     Args:
         edges: the model's samples.
@@ -314,7 +316,7 @@ class Sights:
         self._known: list[EdgeSight] = []
 
     def at(self, pose: PoseArrays) -> EdgeSight:
-        """Return the edges at a pose, by the nearest known rendering if it is near enough."""
+        """Return the edges at a pose, from an earlier rendering if its pose is near enough."""
         frame, radius_m = self._frame, self._renderer.radius_m
         moved = [frame.moved_px(each.expected.pose, pose, radius_m) for each in self._known]
         if moved and min(moved) < STILL_PX:
@@ -325,7 +327,7 @@ class Sights:
         return self._known[-1]
 
     def blank(self, pose: PoseArrays) -> EdgeSight:
-        """Return a sight at a pose without any edge, for what needs the depth alone; nothing is rendered."""
+        """Return a sight without edges at a pose, for uses that need only the depth; nothing is rendered."""
         none, frame = np.empty(0), self._frame
         expected = ExpectedEdges(pose, np.empty(0, np.int64), none, none, none, np.empty(0, np.bool_))
         return EdgeSight(self._edges, frame.lens, frame.patch, expected)
@@ -333,7 +335,7 @@ class Sights:
 
 @inner_kernel
 def nearby_m(shown: Shown, i: int, j: int) -> float:
-    """Return the greatest range, m, of four pixels from row i and column j on; inf for sky."""
+    """Return the largest range, m, of the rays of 2 by 2 pixels from row i and column j on; inf for sky."""
     n, most = shown.per_px, 0.0
     for v in range(n * i, n * (i + 2)):
         for u in range(n * j, n * (j + 2)):
@@ -343,7 +345,7 @@ def nearby_m(shown: Shown, i: int, j: int) -> float:
 
 @inner_kernel
 def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, float]) -> float:
-    """Return the larger spread of the faces beside a sample that are turned to the sensor; -1 if none is.
+    """Return the larger spread of the faces beside a sample that face the sensor; -1 if none does.
 
     Args:
         edges: the model's samples.
@@ -361,10 +363,10 @@ def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, floa
 
 @kernel
 def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
-    """Return the brightness of each triangle at a pose, shape (T + 1,); the last, index -1, is the sky's.
+    """Return the brightness of each triangle at a pose, shape (T + 1,); the last one, index -1, is the sky.
 
-    Lambert's law with light from the camera: albedo times the cosine of incidence over the squared range, in
-    the middle of each triangle. Within a triangle it changes slowly, so that it makes no edges.
+    It follows Lambert's law with light from the camera: albedo times cosine of incidence over squared range,
+    at the centre of each triangle. Within a triangle it changes slowly and causes no edges.
 
     Args:
         appearance: T triangles.

@@ -1,8 +1,8 @@
-"""Joint least squares of depth points and amplitude edges.
+"""Joint least-squares fit of depth points and amplitude edges.
 
-The unknowns are those of ``normal_equations``: (dtau, dtheta), and the bias, the length by which all ranges
-of the frame are too long. The camera's wiggling is such an error. Edges are free of it: if they determine the
-range they correct the depth; if not, the standard deviation of the bias enters the covariance.
+The unknowns are those of ``normal_equations``: (dtau, dtheta), and the bias, which is the length by which all
+ranges of the frame are too long. The camera's wiggling causes such an error. Edges are free of it: if they
+determine the range, they correct the depth; if not, the standard deviation of the bias enters the covariance.
 """
 
 import math
@@ -36,14 +36,14 @@ from rpod_pose.registration.normal_equations import (
 from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
-"""Prior standard deviations of a step. Numerics: they hold only directions that nothing determines."""
+"""Prior standard deviations of a step. Numerics: they matter only in directions that no residual observes."""
 SCALE, LAST_SCALE = 0.2, 0.13
 """Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
-a smaller value ignores edges that are off, a larger one follows wrong edges. The last is 0.4 px, three times
-the spread of clear edges at the true pose."""
+a smaller value ignores displaced edges, a larger one follows wrong edges. The scale in the last steps is 0.4
+px, three times the spread of clear edges at the true pose."""
 BLUNTNESS_PX = 1.4
-"""Standard deviation of an edge's position by noise, px, per noise of its change over the change itself.
-Hand: about the width over which a change is blurred; expected errors are proportional to it."""
+"""Standard deviation of an edge's position caused by noise, px, over the ratio of noise to change of
+amplitude. Hand: about the width over which a change is blurred; expected errors are proportional to it."""
 SHIFT_PX = 0.5
 """Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
 Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
@@ -55,18 +55,17 @@ class DepthErrors(NamedTuple):
     noise_m: float
     """Least standard deviation of a residual."""
     most_points: float
-    """Greatest number of residuals that count, since neighbours share their errors."""
+    """Largest number of residuals that count as independent, since neighbours share their errors."""
     bias_m: float
     """Standard deviation of the length by which all ranges are too long."""
     uneven_m: float
     """Standard deviation of range errors that differ across the target."""
     slack_m: float
-    """Standard deviation of the model's own error, for edges too."""
+    """Standard deviation of the model's own error, which also applies to edges."""
     white_m2: float = 0.0
-    """Variance of the points' weighted mean by the frame's own noise, times the sum of their weights."""
+    """Variance of the points' weighted mean caused by the frame's noise, times the sum of their weights."""
     spread_m2: float = 0.0
-    """Expected mean square of the points' residuals, by their weights, if the frame's own noise is their only
-    error."""
+    """Expected weighted mean square of the points' residuals if the frame's noise is their only error."""
 
 
 class EdgeErrors(NamedTuple):
@@ -75,17 +74,17 @@ class EdgeErrors(NamedTuple):
     noise_px: float
     """Least standard deviation of an edge's position in the image."""
     most_edges: float
-    """Greatest number of samples that count, since neighbours share their errors."""
+    """Largest number of samples that count as independent, since neighbours share their errors."""
     reach_px: float
-    """Half length of the search in the last steps; edges count less while it is longer."""
+    """Half length of the search in the last steps; edges have less weight while the search is longer."""
     scale: float = SCALE
     """Geman-McClure scale of a residual over the reach of the search."""
     px_per_m: float = 0.0
-    """Motion in the image by a motion across the sight, at the depth of what is seen."""
+    """Motion in the image, px, per metre across the line of sight, at the depth of the visible points."""
     independent: float = 1.0
-    """Share of the samples whose errors count as independent: nearer ones in the image share their pixels."""
+    """Share of the samples whose errors are independent; samples close in the image share their pixels."""
     merged: bool = True
-    """Whether samples count that a rendering merges with others."""
+    """Whether samples are used that the rendering merges with other edges."""
 
 
 class JointProblem(NamedTuple):
@@ -95,7 +94,9 @@ class JointProblem(NamedTuple):
     planes: Planes
     """Planes of the faces that the points' pixels show near the pose."""
     field: FieldArrays
+    """Distance field of the target, for points without a plane."""
     sight: EdgeSight
+    """Edges that the image should show, and the image."""
     depth_errors: DepthErrors
     edge_errors: EdgeErrors
     schedule: FloatArray
@@ -103,7 +104,7 @@ class JointProblem(NamedTuple):
 
 
 def near_the_pose(problem: JointProblem, planes: Planes) -> JointProblem:
-    """Return the problem of the last steps: distances from planes, and changes of other edges left out."""
+    """Return the problem of the last steps: distances from planes, and a narrower scale for edges."""
     return problem._replace(planes=planes, edge_errors=problem.edge_errors._replace(scale=LAST_SCALE))
 
 
@@ -117,18 +118,19 @@ class EdgeEvidence(NamedTuple):
     checked: int
     """Number of samples whose place in the image could be searched."""
     found: int
-    """Number of these that are near their place: within ``SCALE`` of the reach."""
+    """Number of the checked samples that are near their place: within ``SCALE`` times the reach."""
     expected: float
-    """Expected number of these near their place at the right pose."""
+    """Number of the checked samples that are expected near their place at the right pose."""
     in_place: FloatArray
-    """Sum of the weights (``add_in_place``) of the found samples, its expectation at the right pose, and that
-    of the sum of their squares, shape (3,)."""
+    """Sum of the weights (``add_in_place``) of the found samples, its expectation at the right pose, and the
+    expectation of the sum of squared weights, shape (3,)."""
     shifted: int
     """Number of inliers beside saturated pixels."""
     noise_px2: float
-    """Sum of the inliers' variances by the image's own noise."""
+    """Sum of the variances of the inliers' positions caused by the image's noise."""
     shift: FloatArray
-    """Sums of the inliers beside saturated pixels, if each lies one pixel towards its darker side, (35,)."""
+    """Normal equations of the inliers beside saturated pixels for residuals of one pixel towards the darker
+    side, shape (35,)."""
 
 
 class JointEvidence(NamedTuple):
@@ -137,11 +139,12 @@ class JointEvidence(NamedTuple):
     points: FieldEvidence
     edges: EdgeEvidence
     parts: FloatArray
-    """Sums of points and edges, each times the variance by a kind of errors over the assumed one, shape
-    (3, 35): the frame's own noise; the sensor's calibration, and what else the points' residuals show;
-    what else those of the edges show."""
+    """Normal equations of points and edges for three kinds of errors, shape (3, 35). Each is multiplied by
+    the variance of that kind over the assumed variance: the frame's noise; the sensor's calibration, and the
+    excess of the points' residuals; the excess of the edges' residuals."""
     shift: FloatArray
-    """Sums by the shift that all edges beside saturated pixels share, of one standard deviation, (35,)."""
+    """Normal equations for a shift, of one standard deviation, that all edges beside saturated pixels share,
+    shape (35,)."""
 
 
 class JointFit(NamedTuple):
@@ -149,7 +152,7 @@ class JointFit(NamedTuple):
 
     state: State
     information: FloatArray
-    """Information about (dtau, dtheta, bias) in the last step, shape (7, 7)."""
+    """Information matrix of (dtau, dtheta, bias) in the last step, shape (7, 7)."""
     evidence: JointEvidence
     """Statistics of the last step."""
 
@@ -161,14 +164,14 @@ def add_edge_points(
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
     The residual is the distance of the image's steepest change from that of the rendering, which moves with
-    the projected edge. With (a, d) the unit vector across the edge in the image, U the lens's derivatives by
-    the slopes and z the sample's depth, a step of the sample in sensor axes moves it across the edge by
-    h = (g_x, g_y, -g . s) / z with g = (a, d) U and s the slopes; in target axes that is k = R^T h, the
-    normal of the residual -place is -k.
+    the projected edge. (a, d) is the unit vector across the edge in the image, U are the lens's derivatives
+    with respect to the slopes s, and z is the sample's depth. A displacement x of the sample in sensor axes
+    moves it across the edge by h . x with h = (g_x, g_y, -g . s) / z and g = (a, d) U. In target axes h is
+    k = R^T h. So the residual -place has the normal -k.
 
     Args:
         sums: information and gradient, input and output.
-        sight: edges, those expected, lens and image.
+        sight: edges of the model, expected edges, lens and image.
         pose: pose to linearise at.
         reach: half length of the search, px.
         errors: assumed errors of edges.
@@ -224,7 +227,7 @@ def add_edge_points(
 
 @inner_kernel
 def darker_side(patch: Patch, profile: Profile, place: float) -> float:
-    """Return the darker side of an edge beside saturated pixels: -1 ahead, 1 behind; 0 for any other edge.
+    """Return the darker side of an edge beside saturated pixels: -1 ahead, 1 behind, 0 for any other edge.
 
     Args:
         patch: the image.
@@ -246,10 +249,12 @@ def share_within(reach: float, own: float, noisy: float) -> float:
 
 
 class Shares(NamedTuple):
-    """Weights of the sums of a frame's points and edges, one over the variance of each residual."""
+    """Weights of the residuals of a frame's points and edges: the inverse of their variances."""
 
     points: float
+    """Weight of a point, 1/m2."""
     edges: float
+    """Weight of a sample of an edge, 1/px2."""
 
 
 @kernel
@@ -281,7 +286,7 @@ def joint_shares(problem: JointProblem, state: State) -> Shares:
 
 @kernel
 def cell_information(problem: JointProblem, state: State, shares: Shares) -> FloatArray:
-    """Return the information of some points and edges with the weights of all of them, shape (7, 7)."""
+    """Return the information of some points and edges, with the weights that all of them have, (7, 7)."""
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
@@ -292,11 +297,11 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
 @linearises(JointProblem)
 @inner_kernel
 def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[JointEvidence]:
-    """Return the normal equations of points and edges, each weighted by its own residuals' variance.
+    """Return the normal equations of points and edges, each weighted by the variance of its residuals.
 
-    The sums of the points are divided by their weight and by the variance of one of them, so that they count
-    as at most ``most_points`` independent points. The sums of the edges are treated in the same way, with a
-    smaller weight as long as the search is wide. The bias has a prior of its own.
+    The sums of the points are divided by their total weight and by the variance of their mean, so that they
+    count as at most ``most_points`` independent points. The sums of the edges are treated in the same way,
+    with a smaller weight while the search is wide. The bias has a prior of its own.
     """
     depth, pose = problem.depth_errors, state.pose
     scale, reach = problem.schedule[step]
@@ -344,16 +349,16 @@ class Measured(NamedTuple):
     sigma_m: FloatArray
     """Standard deviation of their noise, same shape."""
     tolerance_m: float
-    """Tolerance of a range; twice its noise if that is larger."""
+    """Least tolerance of a range; the tolerance is twice the noise of the range if that is larger."""
     missing: float
-    """Weight of a predicted pixel without a measurement."""
+    """Weight of a pixel that shows the target in the rendering and has no range."""
 
 
 @kernel
 def agreement(
     measured: Measured, grid: GridArrays, triangles: FloatArray, pose: PoseArrays, buffers: RenderBuffers
 ) -> tuple[float, float]:
-    """Return the weight of the coarse pixels that agree with a pose, and that of all checked pixels.
+    """Return the total weight of the coarse pixels that agree with a pose, and that of all checked pixels.
 
     Args:
         measured: the frame.

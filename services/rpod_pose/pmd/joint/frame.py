@@ -23,40 +23,40 @@ from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, PmdFrame
 
 MARGIN_PX = 16
-"""Margin around the projection of the target's bounding sphere. Hand: it holds the error of a prediction and
-the reach of the edges' search."""
+"""Margin around the projection of the target's bounding sphere. Hand: it covers the error of a prediction and
+the reach of the search for edges."""
 FILLED = 0.4
 """Typical share of the square around its bounding sphere that a target fills. Hand: it sets the stride only;
 0.4 is half of a disc's share."""
 STRIDES_PX = 3, 8
-"""Least and greatest distance of two points in the image. Numerics: the nine pixels of two points do not
-overlap; farther apart, details have no point."""
+"""Least and greatest distance of two points in the image. Numerics: the blocks of nine pixels of two points
+do not overlap; with a larger distance, small details have no point."""
 SPARSE = 4
 """Stride of the pixels in the image's mean and in the count of depth pixels. Numerics: a budget of
 computation."""
 FINE_PX, FINE_RAYS = 70_000, 2
-"""Number of pixels of the patch up to which the rendering has several rays for each, and their number along
-rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; beyond, a pixel is small on the
-target."""
+"""Largest number of pixels of a patch that is rendered with several rays for each pixel, and the number of
+these rays along rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; in a larger
+patch, a pixel is small on the target."""
 _STEEPEST_RAD = np.radians(89.0)
-"""Greatest angle of a ray from the boresight. Numerics: its tangent is finite."""
+"""Largest angle of a ray from the boresight. Numerics: its tangent is finite."""
 MIN_PATCH = 3
 """Least number of rows and columns in which edges are searched. Numerics: the smoothing and the search need
 neighbours."""
 LIT_SHARE = 0.25
-"""Least amplitude in the estimate of the noise, over the median amplitude. Hand: as
+"""Least amplitude of pixels from which the noise is estimated, over the median amplitude. Hand: as
 ``amplitude_noise.LIT``."""
 CHANGE_SIGMAS = 3.0
 """Least change of amplitude that counts as an edge, over its noise. Physics: one in 370 normal errors is
 larger."""
 MOST_SATURATED = 0.8
-"""Greatest share of saturated pixels among the lit ones. Hand: with more, edges are those of what is
-clipped."""
+"""Largest share of saturated pixels among the lit ones. Hand: with more, the edges are borders of the
+saturated area and not of the target."""
 MIXED_BLURS = 2.0
-"""Distance from a saturated pixel, over the blur, within which edges are shifted. Physics: a normal blur's
-reach, 95 %."""
+"""Distance from a saturated pixel, over the blur, within which edges are shifted. Physics: it contains 95 %
+of a normal blur."""
 _NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
-"""Patch of a frame without amplitude: in it no edge is found."""
+"""Patch of a frame without amplitude, in which no edge is found."""
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
 
@@ -67,27 +67,27 @@ class JointFrame:
 
     view: DepthView
     range_m: FloatArray
-    """Range of the coarse pixels, shape (rows, columns), NaN without one."""
+    """Range of the coarse pixels, shape (rows, columns); NaN if a pixel has none."""
     sigma_m: FloatArray
     """Standard deviation of the ranges' noise, same shape."""
     shade: FloatArray
     """Amplitude of the coarse pixels, same shape; 0 where a glint saturates, NaN if unknown."""
     typical: float
-    """Median amplitude of the pixels with depth, or that of the patch if these are too few; 0 if unknown."""
+    """Median amplitude of the pixels with depth, or that of the patch if they are too few; 0 if unknown."""
     points_m: FloatArray
-    """Points of the depth, sensor axes, shape (N, 3)."""
+    """Points of the depth image, sensor axes, shape (N, 3)."""
     pixel: NDArray[np.intp]
     """Row-major index of each point's coarse pixel, shape (N,)."""
     away_m: float
-    """Median z of the points within the target's bounding sphere; that of its origin without any."""
+    """Median z of the points within the target's bounding sphere, m; z of its origin if there are none."""
     noise_m: float
     """Median standard deviation of the points' noise; 0 without points."""
     white_m2: float
-    """Variance of the points' weighted mean by this noise, times the sum of their weights."""
+    """Variance of the points' weighted mean caused by this noise, times the sum of their weights."""
     spread_m2: float
-    """Mean variance of this noise, by the points' weights."""
+    """Weighted mean of the variances of this noise."""
     trust: FloatArray
-    """Weight of each point, 0 to 1, smaller for dark and therefore noisy points, shape (N,)."""
+    """Weight of each point, 0 to 1, shape (N,); it is smaller for dark points, which are noisy."""
     patch: Patch
     """Smoothed amplitude around the target."""
     rays: GridArrays
@@ -95,18 +95,18 @@ class JointFrame:
     per_px: int
     """Number of these rays for each pixel, along rows and columns."""
     frequencies_hz: FloatArray
-    """Modulation frequencies, shape (F,), Hz; none if the camera does not state them."""
+    """Modulation frequencies, shape (F,), Hz; shape (0,) if the camera does not state them."""
 
     @classmethod
     def of(cls, frame: PmdFrame, t: FloatArray, *, radius_m: float, tuning: JointTuning) -> Self | str:
         """Return a frame for a target expected at ``t``, shape (3,), m, or why it cannot be used."""
         if frame.camera.distortion[LENS_COEFFICIENTS:].any():
-            return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+            return f"distortion has {len(frame.camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
         try:
             around = _around(frame.camera, t, radius_m)
             if (share := _saturated_share(frame, around)) > MOST_SATURATED:
-                most = f"{MOST_SATURATED:.0%} at most; expose shorter"
-                return f"{share:.0%} of the lit pixels are saturated, {most}"
+                limit = f"at most {MOST_SATURATED:.0%} may be; reduce the exposure time"
+                return f"{share:.0%} of the lit pixels are saturated, {limit}"
             return cls._prepared(frame, t, around, radius_m=radius_m, tuning=tuning)
         except DistortionError as error:
             return str(error)
@@ -115,10 +115,10 @@ class JointFrame:
     def _prepared(
         cls, frame: PmdFrame, t: FloatArray, around: _Window, *, radius_m: float, tuning: JointTuning
     ) -> Self:
-        """Return the frame with the edges of a window.
+        """Return the frame, prepared for the edges in a window.
 
         Raises:
-            DistortionError: the lens has no inverse at a pixel that is used.
+            DistortionError: the lens distortion cannot be inverted at a pixel that is used.
         """
         radius_px = frame.camera.fx * radius_m / max(t[2], 1e-3)
         stride = _stride(frame, around, radius_px=radius_px, points=tuning.depth.points)
@@ -167,7 +167,7 @@ class JointFrame:
         )
 
     def finely(self) -> Self:
-        """Return the frame with several rays along rows and columns of each of the patch's pixels."""
+        """Return the frame with ``FINE_RAYS`` rays along rows and columns of each pixel of the patch."""
         return replace(self, rays=_rays_of(self.patch, self.view, FINE_RAYS), per_px=FINE_RAYS)
 
     @cached_property
@@ -177,7 +177,7 @@ class JointFrame:
         return Lens(camera.fx, camera.fy, camera.cx, camera.cy, *camera.coefficients.tolist())
 
     def moved_px(self, before: PoseArrays, pose: PoseArrays, radius_m: float) -> float:
-        """Return how far a target of a radius moves in this image from one pose to another, px at most."""
+        """Return the largest motion of a target's points in this image between two poses, px."""
         return moved_px(before, pose, radius_m, self.view.camera.fx / max(pose.t[2], self.away_m))
 
     @property
@@ -187,7 +187,7 @@ class JointFrame:
 
 
 def _even(shape: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return the amplitude of a frame without one, the same everywhere.
+    """Return an amplitude image of ones, for a frame without an amplitude image.
 
     It has the type of an image from the bus, for which the kernels are compiled before the first frame.
     Compiling them for another type would stop tracking for a second or more.
@@ -206,9 +206,15 @@ def _saturated_share(frame: PmdFrame, around: _Window) -> float:
 
 
 def _trust(sigma_m: FloatArray, strength: FloatArray, other_m: float) -> FloatArray:
-    """Return the weights of points: the variance of a range's other errors over that of all its errors.
+    """Return the weights of points: the variance of a range without noise over its variance with noise.
 
-    Noise is proportional to one over the amplitude; a point's own few pixels estimate it too poorly.
+    The noise is taken as inversely proportional to the amplitude, since the few pixels of a point estimate it
+    too poorly.
+
+    Args:
+        sigma_m: standard deviation of the points' noise, as estimated from their pixels, shape (N,).
+        strength: amplitude of the points, shape (N,).
+        other_m: standard deviation of the other errors of a range.
     """
     scale_m = float(np.median(sigma_m * strength)) if len(strength) else 0.0
     return 1.0 / (1.0 + (scale_m / (other_m * np.maximum(strength, 1e-9))) ** 2)
@@ -223,7 +229,7 @@ def _measured(range_m: FloatArray, points: int) -> NDArray[np.intp]:
 
 
 def _unknown_shade(frame: PmdFrame, view: DepthView) -> NDArray[np.bool_]:
-    """Return the coarse pixels whose amplitude is unknown: all without an image, else the saturated ones."""
+    """Return the coarse pixels with unknown amplitude: the saturated ones, or all without an image."""
     shape = view.coarse.components.shape[1:]
     if frame.amplitude is None:
         return np.ones(shape, np.bool_)
@@ -235,7 +241,14 @@ def _unknown_shade(frame: PmdFrame, view: DepthView) -> NDArray[np.bool_]:
 
 @kernel
 def moved_px(before: PoseArrays, pose: PoseArrays, radius_m: float, px_per_m: float) -> float:
-    """Return how far a target of a given radius moves in the image from one pose to another, px at most."""
+    """Return the largest motion in the image, px, of a target's points between two poses.
+
+    Args:
+        before: one pose.
+        pose: the other pose.
+        radius_m: radius of the target.
+        px_per_m: motion in the image per metre across the line of sight.
+    """
     turned = np.sqrt(np.square(pose.R - before.R).sum() / 2.0)  # 2 sin(angle / 2)
     shifted_m = np.sqrt(np.square(pose.t - before.t).sum())
     return float(px_per_m * (shifted_m + turned * radius_m))
@@ -248,7 +261,10 @@ def _rays_of(patch: Patch, view: DepthView, per_px: int) -> GridArrays:
 
 
 def _away_m(points_m: FloatArray, t: FloatArray, radius_m: float) -> float:
-    """Return the depth of what is seen of a target. Its origin may lie beside or behind a close camera."""
+    """Return the median depth of a target's visible points, m.
+
+    The origin of a close target does not suit: it may lie beside or behind the camera.
+    """
     own = np.square(points_m - t).sum(axis=1) < radius_m**2
     z_m = np.median(points_m[own, 2]) if own.any() else t[2]
     return max(float(z_m), NEAREST_M)
@@ -266,7 +282,7 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
     """Return the rows and columns around the target's bounding sphere; all if the target is close."""
     if t[2] <= 2.0 * radius_m:
         return slice(0, camera.height), slice(0, camera.width)
-    # The sphere as it is seen along an axis, and at least as large as one on the boresight.
+    # The limits of the sphere along each axis of the image, at least those of a sphere on the boresight.
     angle_rad = np.arctan2(t[:2], t[2])
     half_rad = np.arcsin(radius_m / np.hypot(t[:2], t[2]))
     middle, radius = t[:2] / t[2], radius_m / (t[2] - radius_m)
@@ -280,7 +296,7 @@ def _around(camera: Camera, t: FloatArray, radius_m: float) -> _Window:
 
 
 def _around_in_lens(camera: Camera, lower: FloatArray, upper: FloatArray) -> _Window:
-    """Return the window of the pixels whose slopes, x/z and y/z, lie within limits, shape (2,) each.
+    """Return the window of the pixels whose slopes x/z and y/z lie within limits, each of shape (2,).
 
     Raises:
         DistortionError: the lens distortion cannot be inverted.
@@ -298,7 +314,7 @@ def _around_in_lens(camera: Camera, lower: FloatArray, upper: FloatArray) -> _Wi
 
 
 def _between(first: float, last: float, size: int) -> slice:
-    """Return the lines from ``first`` to ``last`` within an image; all of them if one is NaN."""
+    """Return the rows or columns from ``first`` to ``last`` within an image; all of them if one is NaN."""
     if np.isnan(first) or np.isnan(last):
         return slice(0, size)
     return slice(int(np.clip(first, 0.0, size)), int(np.clip(last, 0.0, size)))
@@ -312,9 +328,9 @@ def _patch(
     typical: float,
     config: JointEdgeConfig,
 ) -> Patch:
-    """Return the smoothed amplitude around the target, with the least change that counts and its noise.
+    """Return the smoothed amplitude around the target, with its noise and the least change that counts.
 
-    The typical amplitude of pixels with depth is only a start: depth may be left on dark parts alone.
+    The typical amplitude of pixels with depth is only a first value: perhaps only dark parts have depth.
     """
     rows, columns = around
     part = np.nan_to_num(amplitude[around].astype(np.float32))
@@ -336,6 +352,6 @@ def _patch(
 
 
 def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
-    """Return the pixels at most ``by_px`` rows and columns from one of a mask, same shape."""
+    """Return a mask, same shape, of the pixels at most ``by_px`` rows and columns from one of a mask."""
     side = 2 * by_px + 1
     return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0

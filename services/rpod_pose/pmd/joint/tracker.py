@@ -1,16 +1,16 @@
 """Tracking by depth and amplitude together: signed distances of points, and positions of edges.
 
-The steps depend on the prediction. If the edges are near their predicted places, only the last, narrow steps
-are made: a wider search may confuse neighbouring edges, which shifts the pose if there is little depth. If
-many edges are near, a few wider steps come first; if the pose explains the depth moderately, all steps are
-made. Any other prediction is first aligned by depth alone, which needs no edge near its place. If the result
-is inconsistent with the frame, it is moved along the line of sight, as far as the camera's bias may reach, to
-where most edges are in their place, and aligned again. After that the next wider start is tried, since the
-depth may agree before the attitude does.
+The iterations depend on the prediction. If most edges are near their predicted places, only the last, narrow
+steps are made: a wider search may confuse neighbouring edges, which shifts the pose if there is little depth.
+If many edges are near, a few wider steps come first. If the predicted pose explains the depth moderately, all
+steps are made. Any other prediction is first aligned by depth alone, which needs no edge near its place. If
+the result is inconsistent with the frame, it is moved along the line of sight to where most edges are in
+place, within the bias that the camera may have, and is aligned again. After that the next wider start is
+tried, since the depth may agree before the attitude does.
 
-The self-check uses both images: with a wrong camera matrix, another target or a mirrored image the depth may
-agree, but the edges do not. If one image shows nothing of the target, only the other is used, and the source
-of the pose names it.
+The self-check uses both images. With a wrong camera matrix, another target or a mirrored image the depth may
+agree, but the edges do not. If one image shows nothing of the target, only the other one is used, and the
+source of the pose names it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -64,21 +64,21 @@ from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
 LEADS_PX = 0.1
-"""Motion in the image from which on steps lead away from a pose. Physics: a tenth of a pixel is the least
-error of an edge."""
+"""Least motion in the image at which further steps are said to lead away from a pose. Physics: a tenth of a
+pixel is the least error of an edge."""
 SAME_PX = 0.25
-"""Distance in the image up to which two alignments are one. Physics: a tenth of a pixel is the least error of
-an edge, and rays half a pixel apart resolve a quarter at best."""
+"""Largest distance in the image between two alignments that count as the same. Physics: a tenth of a pixel is
+the least error of an edge, and rays half a pixel apart resolve a quarter at best."""
 CERTAIN_PX = 1.6
-"""Distance in the image from the prediction up to which an alignment cannot have met other edges. Physics:
-the width of an edge, twice the standard deviation of the smoothing."""
+"""Largest distance in the image from the prediction at which an alignment cannot have matched wrong edges.
+Physics: the width of an edge, twice the standard deviation of the smoothing."""
 CERTAIN_SIGMAS = 0.5
-"""The same distance over a bound of what the noise of the frame explains: the standard deviation of the
-position and that of the attitude times the radius. Numerics: a budget of computation."""
+"""The same distance over the motion in the image that one standard deviation of the position, and of the
+attitude times the radius, causes. Numerics: a budget of computation."""
 LAST_STEPS = 2
-"""Number of the last steps, before which a target that has moved is rendered again. Numerics: a budget."""
+"""Number of last steps, before which a target that has moved is rendered again. Numerics: a budget."""
 MOST_WIDER = 3.0
-"""Greatest factor on the last search's reach, for close targets. Numerics: a budget of computation."""
+"""Largest factor on the reach of the last search, for close targets. Numerics: a budget of computation."""
 
 
 class _Tried(NamedTuple):
@@ -89,7 +89,7 @@ class _Tried(NamedTuple):
 
 
 class JointTracker:
-    """Registers PMD frames: ports.Tracker[PmdFrame].
+    """Registers PMD frames by depth and edges: ports.Tracker[PmdFrame], ports.ComparingTracker.
 
     Args:
         config: parameters of the tracker.
@@ -133,7 +133,7 @@ class JointTracker:
         self._model_error, self._lines = JointModelError(target, edges.parts), edges.lines
         self._check = PixelCheck(target, tuning, self._ranges, self._renderer)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}
-        self._nothing = Registration.none(Source.PMD_JOINT, "nothing to see")
+        self._nothing = Registration.none(Source.PMD_JOINT, "nothing of the target is seen")
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
@@ -166,8 +166,8 @@ class JointTracker:
     ) -> FloatArray:
         """Return the log likelihoods of one frame at registered poses: ports.ComparingTracker.
 
-        The depth and the whole image count, with the brightness of each face free (``brightness_fit``), as
-        far as the covariance of the likeliest pose lets them (``alternatives.log_likelihoods``).
+        They contain the depth and the whole image, with the brightness of each face fitted
+        (``brightness_fit``), and are scaled to the covariance of the likeliest pose (``alternatives``).
         """
         pose = poses_of(found)[0]
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
@@ -183,7 +183,7 @@ class JointTracker:
     def _likeliest(
         self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"
     ) -> Registration:
-        """Return the registration of the likeliest pose around one that is far from its prediction."""
+        """Return the registration of the likeliest pose near an aligned one, if its prediction is far off."""
         aligned, found = tried
         focal_px, radius_m, pose = seen.lens.fx, self._target.radius_m, aligned.fit.state.pose
         deviations = np.sqrt(np.diag(found.covariance).reshape(2, 3).sum(axis=1))
@@ -204,7 +204,7 @@ class JointTracker:
         return again if again.continues_track >= found.continues_track else found
 
     def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
-        """Yield starting poses with their schedules of steps, those with the fewest steps first."""
+        """Yield starting poses with their schedules, shape (S, 2); those with the fewest steps come first."""
         tuning = self._tuning
         pose = sight.expected.pose
         share = self._check.explained(seen, pose, self._buffers_of(seen.view))
@@ -222,9 +222,9 @@ class JointTracker:
             yield State(field_aligned(few, pose, self._coarse, far_m), 0.0), self._full
 
     def _moved_along_sight(self, seen: JointFrame, sights: Sights, state: State) -> State | None:
-        """Return the pose along the sight at which most edges are in their place; None if they are few."""
+        """Return the pose along the line of sight at which most edges are in place; None if they are few."""
         best, most = None, self._tuning.near_share
-        sight = sights.at(state.pose)  # along the sight the target shows the same sides
+        sight = sights.at(state.pose)  # from all these poses the same sides of the target are visible
         for moved in self._along_sight(seen, state):
             in_place = self._in_place(seen, sight, moved.pose)
             if in_place is not None and in_place > most:
@@ -232,7 +232,7 @@ class JointTracker:
         return best
 
     def _along_sight(self, seen: JointFrame, state: State) -> list[State]:
-        """Return poses along the sight, a reach of the search for edges from one another in the image."""
+        """Return poses along the line of sight, whose edges move by the reach of the search between two."""
         t, away_m = state.pose.t, max(float(state.pose.t[2]), seen.away_m)
         range_m = max(hypot(*t), NEAREST_M)
         px_per_m = seen.view.camera.fx * self._target.radius_m / away_m / range_m
@@ -240,10 +240,10 @@ class JointTracker:
         return along_sight(state, sigma_m=self._ranges.bias_m, step_m=step_m)
 
     def _aligned(self, seen: JointFrame, sights: Sights, state: State, schedule: FloatArray) -> Aligned:
-        """Return the likelier one of the alignments with and without edges that merge with others.
+        """Return the likelier of two alignments: with and without edges that merge with others.
 
-        The second one is made if its last steps lead away from the end of the first. The schedule has the
-        shape (S, 2) as in ``JointProblem``, and each row is one step.
+        The second alignment is computed only if its last steps would move the result of the first. The
+        schedule has the shape (S, 2) as in ``JointProblem``, and each row is one step.
         """
         schedule = np.maximum(schedule, (self._least_scale_m(seen), 0.0))
         found = self._aligned_by(seen, sights, state, schedule, self._edge_errors)
@@ -262,7 +262,7 @@ class JointTracker:
         return found.beside(other, more) if more >= 0.0 else other.beside(found, -more)
 
     def _loss(self, seen: JointFrame, state: State, problem: JointProblem) -> float:
-        """Return minus the log likelihood of a pose, by the depth of a problem and the whole image."""
+        """Return minus the log likelihood of a pose, from the depth of a problem and the whole image."""
         misfit = self._renderer.misfit(seen.rays, seen.per_px, state.pose, seen.patch)
         return depth_loss(problem, state) + misfit
 
@@ -276,8 +276,8 @@ class JointTracker:
     ) -> Aligned:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
-        The first steps are made in the distance field, the last ones to the planes of the faces that the
-        pixels show.
+        The first steps minimise distances in the distance field, the last ones distances from the planes of
+        the faces that the pixels show.
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         if len(first):
@@ -291,7 +291,7 @@ class JointTracker:
         return Sights(self._edges, self._renderer, seen)
 
     def _least_scale_m(self, seen: JointFrame) -> float:
-        """Return the least Geman-McClure scale: an error that the noise explains is no outlier."""
+        """Return the least Geman-McClure scale, m: an error that the noise explains must be no outlier."""
         depth = self._tuning.depth
         return depth.scale_sigmas * max(seen.noise_m, depth.noise_m)
 
@@ -317,7 +317,7 @@ class JointTracker:
         ((R, t), bias), _, (depth, found, _, _) = aligned.fit
         points, edges, checked = depth.inliers, found.inliers, found.checked
         if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
-            reason = f"nothing to see: {points} points on the target, {checked} places of edges"
+            reason = f"nothing of the target is seen: {points} points on it, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
         pose, buffers = aligned.fit.state.pose, self._buffers_of(seen.view)
         inconsistent = self._check.contradictions(seen, pose, bias, buffers)
@@ -347,7 +347,7 @@ class JointTracker:
         )
 
     def _uncertainty(self, seen: JointFrame, sights: Sights, aligned: Aligned) -> Uncertainty:
-        """Return the covariance of a pose, sensor axes, and its errors by how long they last."""
+        """Return the covariance of a pose, sensor axes, and its parts by how long the errors last."""
         fit, last = aligned.fit, aligned.last
         moved = seen.moved_px(last.sight.expected.pose, fit.state.pose, self._target.radius_m)
         sight = last.sight if moved < CERTAIN_PX else sights.at(fit.state.pose)
@@ -367,7 +367,7 @@ class JointTracker:
     def _edges_in_place(self, seen: JointFrame, aligned: Aligned) -> float:
         """Return the share of the expected edges found near their place, plus an allowance for chance.
 
-        If it is weak, the edges are those of a rendering with more rays, which shows thin parts.
+        If the share is small, the edges are predicted again with more rays, which show thin parts.
         """
         limits, pose, last = self._tuning.acceptance, aligned.fit.state.pose, aligned.last
         share = edges_in_place(limits, aligned.fit.evidence.edges)
@@ -377,7 +377,7 @@ class JointTracker:
         return edges_in_place(limits, add_edge_points(no_sums(), sight, pose, reach_px, last.edge_errors))
 
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
-        """Return the share of the expected edges near their place at a pose; None if few are seen."""
+        """Return the share of the expected edges near their place at a pose; None if too few are seen."""
         tuning = self._tuning
         reach = tuning.edges.final_search_px * float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
@@ -386,7 +386,7 @@ class JointTracker:
         return found.found / max(found.expected, 1.0)
 
     def _radius_px(self, seen: JointFrame) -> float:
-        """Return the target's radius in the image, at the depth of what is seen, px."""
+        """Return the target's radius in the image, px, at the median depth of its visible points."""
         return float(seen.view.camera.fx * self._target.radius_m / seen.away_m)
 
     def _fills(self, seen: JointFrame) -> float:

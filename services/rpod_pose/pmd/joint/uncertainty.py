@@ -1,4 +1,4 @@
-"""Errors of a pose by the joint least squares, by how long they last."""
+"""Covariance of a pose from the joint least-squares fit, and its parts by how long the errors last."""
 
 from typing import NamedTuple
 
@@ -16,24 +16,25 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target import Target
 
 MIXED_PX = 1.0
-"""Motion of the image after which errors of edges by pixels that mix two surfaces are correlated by 1/e.
-Physics: then an edge lies on other pixels."""
+"""Motion of the image after which errors of edges by mixed pixels have a correlation of 1/e. Physics: then an
+edge lies on other pixels."""
 
 
 class Uncertainty(NamedTuple):
     """Covariance of a pose and its parts."""
 
     covariance: FloatArray
-    """Covariance of (dp, dtheta), sensor axes, with all that the tracker assumes, shape (6, 6)."""
+    """Covariance of (dp, dtheta), sensor axes, with all errors that the tracker assumes, shape (6, 6)."""
     parts: ErrorParts
+    """Parts of the covariance by how long the errors last."""
 
 
 class JointModelError:
-    """Errors of the target's model that its file declares, in an alignment of points and edges.
+    """Adds the errors of the target's model, which its file declares, to a covariance.
 
     Args:
         target: the target.
-        edge_parts: number of the part of each sample of its edges, shape (N,).
+        edge_parts: index of the part of each sample of its edges, shape (N,).
     """
 
     def __init__(self, target: Target, edge_parts: NDArray[np.intp]) -> None:
@@ -41,17 +42,17 @@ class JointModelError:
 
     @property
     def scale(self) -> float:
-        """Standard deviation of the target's size, as a share."""
+        """Relative standard deviation of the target's size."""
         return self._error.scale
 
     def added(self, fit: JointFit, problem: JointProblem, shares: Shares, alone: FloatArray) -> FloatArray:
-        """Return the covariance of (dtau, dtheta, bias), (7, 7), with these errors.
+        """Return the covariance of (dtau, dtheta, bias), shape (7, 7), with the errors of the model.
 
         Args:
             fit: the aligned pose.
             problem: points and edges at this pose.
             shares: weights of points and edges.
-            alone: covariance without them, shape (7, 7).
+            alone: covariance without the errors of the model, shape (7, 7).
         """
         if not self._error.matters:
             return alone
@@ -86,22 +87,23 @@ def uncertainty(
 ) -> Uncertainty:
     """Return the uncertainty of an aligned pose.
 
-    With the information I of all residuals, errors of the residuals whose information would be J cause the
-    covariance I^-1 J I^-1. The true bias of the ranges causes an error because of its prior, and J is the
-    prior's. Errors of edges are the same along a line (``edge_lines``). Edges beside saturated pixels are
-    shifted towards their darker sides by a length that they share. The model's errors are those that the
-    target's file declares. Another alignment that is as likely is among the errors of the image.
+    I is the information of all residuals. Errors of residuals with the gradient covariance J cause the pose
+    covariance I^-1 J I^-1. The bias of the ranges causes an error too, because its prior pulls it to zero;
+    its J is the information of the prior. Errors of edges are the same along a line (``edge_lines``). Edges
+    beside saturated pixels are shifted towards their darker sides by a length that they share. The model's
+    errors are those that the target's file declares. The distance to another likely alignment is an error of
+    the image.
 
     Args:
         aligned: the aligned pose.
         alone: I^-1, shape (7, 7).
-        whole: the same with the errors of the target's model, shape (7, 7).
-        lines: sums of the lines of edges.
+        whole: I^-1 with the errors of the target's model, shape (7, 7).
+        lines: normal equations of the lines of edges.
         bias_m: standard deviation of the prior of the bias.
         radius_px: radius of the target in the image, px.
-        wider: factor on all covariances, above 1 if the target is larger than the image. Its longest edges
-            and its faces then reach across the image, and an image whose width is 1/n of the target shows 1/n
-            of their lines. So errors that the residuals of a line share average out less.
+        wider: factor on all covariances, above 1 if the target is larger than the image. An image whose width
+            is 1/n of the target shows only 1/n of its lines, so that errors that the residuals of a line
+            share average out less.
     """
     fit, beside = aligned.fit, aligned.spread
     white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)

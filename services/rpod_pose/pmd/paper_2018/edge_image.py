@@ -19,7 +19,7 @@ from rpod_schemas.config.pmd.amplitude import EdgeImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 WHITE = 255.0
-"""Greatest grey value of an 8-bit image. Physics: 2^8 - 1."""
+"""Largest grey value of an 8-bit image. Physics: 2^8 - 1."""
 BRIGHTNESS_STRIDE = 2
 """Stride, across and down, of the pixels from which the image's brightness is estimated. Numerics: a budget
 of computation."""
@@ -76,7 +76,7 @@ def edge_image(frame: PmdFrame, config: EdgeImageConfig) -> EdgeImage | str:
     if frame.amplitude is None:
         return "no amplitude image was sent"
     if frame.camera.distortion[LENS_COEFFICIENTS:].any():
-        return f"distortion has {len(frame.camera.distortion)} coefficients, {LENS_COEFFICIENTS} at most"
+        return f"distortion has {len(frame.camera.distortion)} coefficients, limit {LENS_COEFFICIENTS}"
     light = _scaled(frame.amplitude, config)
     if isinstance(light, str):
         return light
@@ -104,7 +104,7 @@ def _edges_of(
     """Return edges with their lines by the Hough transform: steps 3 to 5 of the paper.
 
     Raises:
-        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
+        rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted there.
     """
     found = cv2.HoughLinesP(
         pixels,
@@ -165,7 +165,7 @@ def straightened(pixels: FloatArray, camera: Camera) -> FloatArray:
     """Return undistorted pixels: where a lens without distortion images the same rays, shape (N, 2).
 
     Raises:
-        rpod_geometry.rays.DistortionError: the lens distortion cannot be inverted there.
+        rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted there.
     """
     scale, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
     straight: FloatArray = undistort(((pixels - centre) / scale).T, camera).T * scale + centre

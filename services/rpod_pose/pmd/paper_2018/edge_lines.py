@@ -93,7 +93,7 @@ def line_along(
         across: unit vectors across the edge there, shape (N, 2).
         segment: ends of the initial line, shape (2, 2).
         ends: ends of the model line, which bound the pixels along the line, shape (2, 2).
-        limits: greatest distances from the line and beyond the ends, px.
+        limits: largest distances from the line and beyond the ends, px.
     """
     band, beyond = limits
     x, y = (segment[0] + segment[1]) / 2.0

@@ -34,7 +34,7 @@ STRIDE_PX = 4
 """Stride of the pixels on which the model is rendered to find what is hidden. Numerics: a budget of
 computation."""
 FARTHEST_RADII = 200.0
-"""Greatest distance of a target with visible lines, in its radii. Numerics: lines are then a few pixels long
+"""Largest distance of a target with visible lines, in its radii. Numerics: lines are then a few pixels long
 or shorter."""
 LEAST_ANGLE_RAD, LEAST_REACH_PX, LEAST_TOLERANCE = np.deg2rad(6.0), 2.5, 0.06
 """Least limits of the matches. Hand: short lines and small circles are not more accurate."""
@@ -46,9 +46,9 @@ class Search:
 
     lines: Reach
     circle_m: float
-    """Greatest distance of a circle's centre from its prediction, on its plane."""
+    """Largest distance of a circle's centre from its prediction, on its plane."""
     tolerance: float
-    """Greatest difference of a circle's radius from its prediction, as a share of it."""
+    """Largest difference of a circle's radius from its prediction, as a share of it."""
     first: bool
     """Whether circles are found by the Hough transform; later rounds measure them at the known pose."""
 
@@ -173,7 +173,7 @@ class EpnpTracker:
                 break
             points = points.without(int(distances_px.argmax()))
         if fit.rms_px > config.max_error_px:
-            return f"reprojection error {fit.rms_px:.1f} px, {config.max_error_px:.1f} px at most"
+            return f"reprojection error {fit.rms_px:.1f} px, limit {config.max_error_px:.1f} px"
         return fit
 
     def _registered(self, fit: Fit, T_predicted: RigidTransform, camera: Camera) -> Registration:
@@ -201,9 +201,19 @@ class EpnpTracker:
             return "degenerate: the points leave a motion undetermined"
         sigma_deg = float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])))
         demands = (
-            (sigma_deg <= config.max_sigma_deg, f"attitude known to {sigma_deg:.1f} deg only"),
-            (turn_deg <= config.max_turn_deg, f"turned {turn_deg:.1f} deg from the prediction"),
-            (shift <= config.max_shift_share, f"shifted by {shift:.0%} of the distance from the prediction"),
+            (
+                sigma_deg <= config.max_sigma_deg,
+                f"attitude known to {sigma_deg:.1f} deg, limit {config.max_sigma_deg:.1f} deg",
+            ),
+            (
+                turn_deg <= config.max_turn_deg,
+                f"turned {turn_deg:.1f} deg from the prediction, limit {config.max_turn_deg:.1f} deg",
+            ),
+            (
+                shift <= config.max_shift_share,
+                f"shifted from the prediction by {shift:.0%} of the distance, "
+                f"limit {config.max_shift_share:.0%}",
+            ),
         )
         return next((reason for met, reason in demands if not met), "")
 

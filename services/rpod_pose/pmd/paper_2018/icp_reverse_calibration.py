@@ -105,9 +105,9 @@ class MatchReach(NamedTuple):
     radius_px: int
     """Radius of the neighbour search."""
     direct_m: float
-    """Greatest distance of points in a direct match; 0 for the neighbour search always."""
+    """Largest distance of points in a direct match; 0 for the neighbour search always."""
     gate_m: float
-    """Greatest length of a match."""
+    """Largest length of a match."""
 
 
 @kernel

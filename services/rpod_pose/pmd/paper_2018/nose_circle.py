@@ -87,8 +87,8 @@ def circle_centre(
 
     Args:
         plane: plane of the disc at the predicted pose.
-        reach: greatest distance of the centre from the predicted one, in radii.
-        tolerance: greatest difference of the radius from the predicted one, as a share of it.
+        reach: largest distance of the centre from the predicted one, in radii.
+        tolerance: largest difference of the radius from the predicted one, as a share of it.
         config: all other thresholds.
         canny_high: gradient from which a pixel starts an edge, grey levels; None to measure the circle around
             the predicted centre without a Hough transform.
@@ -110,7 +110,7 @@ def hough_circle(
 ) -> FloatArray | None:
     """Return the centre of the Hough circle nearest to the predicted one, in radii from it, shape (2,).
 
-    The limits are the greatest distance from it, in radii, and the greatest difference of the radius, as a
+    The limits are the largest distance from it, in radii, and the largest difference of the radius, as a
     share.
     """
     reach, tolerance = limits

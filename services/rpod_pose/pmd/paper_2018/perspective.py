@@ -37,7 +37,7 @@ PRIOR_RESIDUALS = 4.0
 """Number of residuals for which the assumed noise counts. Hand: few points hardly determine their own
 noise."""
 WORST_CONDITION = 1e10
-"""Condition of the information from which on it is not inverted. Numerics: six digits of a double are
+"""Largest condition number of the information that is inverted. Numerics: six digits of a double are
 left."""
 
 
@@ -108,7 +108,7 @@ def pose_from_points(points: Correspondences, camera: Camera, *, iterations: int
     Args:
         points: four or more, not in one plane.
         camera: camera matrix; the distortion is not used.
-        iterations: greatest number of Gauss-Newton steps; 0 for the pose of EPnP itself.
+        iterations: largest number of Gauss-Newton steps; 0 for the pose of EPnP itself.
     """
     found, turn, position = cv2.solvePnP(
         points.points_m, points.pixels, camera.K, None, flags=cv2.SOLVEPNP_EPNP
@@ -191,7 +191,7 @@ def refine(
         pixels: measured pixels of the points, column and row, shape (N, 2).
         pinhole: the camera.
         start: initial pose.
-        iterations: greatest number of steps; the first step below ``CONVERGED`` is the last.
+        iterations: largest number of steps; the first step below ``CONVERGED`` is the last.
     """
     pose, hold = start, np.full(UNKNOWNS, LEAST_HOLD)
     for _ in range(iterations):

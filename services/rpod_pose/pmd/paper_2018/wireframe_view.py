@@ -25,12 +25,12 @@ KNOTS = np.linspace(0.04, 0.96, 12)
 """Positions along a line, or around a rim, at which its visibility is checked. Numerics: a budget; the ends
 belong to other lines too."""
 SAME_CORNER = 1e-5
-"""Greatest distance of two equal corners, as a share of the target's extent. Numerics: the rounding of a mesh
+"""Largest distance of two equal corners, as a share of the target's extent. Numerics: the rounding of a mesh
 in single precision."""
 PARALLEL = 0.99
 """Least cosine of the angle between normals that count as parallel. Hand: 8 deg."""
 AXIS_SHARE = 0.01
-"""Greatest distance of two equal axes of circles, as a share of the radius. Hand: far above rounding, below
+"""Largest distance of two equal axes of circles, as a share of the radius. Hand: far above rounding, below
 the distance of two parts."""
 RIM = np.stack([np.cos(2.0 * np.pi * KNOTS), np.sin(2.0 * np.pi * KNOTS)], axis=1)
 """These positions on a unit circle, shape (12, 2). Physics: of ``KNOTS``."""

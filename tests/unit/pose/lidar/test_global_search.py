@@ -96,7 +96,8 @@ def test_a_symmetric_target_is_ambiguous_and_one_of_its_hypotheses_is_right(targ
         assert acquisition.outcome is Outcome.AMBIGUOUS
         assert all(rival.exact for rival in acquisition.belief.rivals)
         assert acquisition.begins_track
-        assert acquisition.belief.reason == f"{alike} poses cannot be told apart, by the target's symmetry"
+        reason = f"{alike} poses cannot be distinguished because of the target's symmetry"
+        assert acquisition.belief.reason == reason
         hypotheses = acquisition.hypotheses
         assert len(hypotheses) == alike
         assert sum(hypothesis.weight for hypothesis in hypotheses) == pytest.approx(1.0)

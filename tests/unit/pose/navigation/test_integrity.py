@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.navigation.filter import POSE, innovation_of, start
 from rpod_pose.navigation.history import History, apply
-from rpod_pose.navigation.integrity.inside import Inside
+from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.levels import (
     Solution,
     declared_covariance,
@@ -163,7 +163,7 @@ def test_a_track_that_jumps_to_a_half_turn_is_an_alert_for_as_long_as_both_may_b
     )
     told = follow(track, np.arange(6.1, 40.0, 0.5), off=flip)
     assert {each.state for each in told} == {IntegrityState.ALERT}
-    assert "its prediction from before" in told[0].reason
+    assert "the prediction of an earlier one" in told[0].reason
 
 
 def test_a_sensor_that_is_out_of_its_range_is_no_reason_for_caution(track):
@@ -325,7 +325,7 @@ def test_the_most_tolerant_limit_of_the_sensors_that_support_the_track_counts(tr
 
 def inside(**found):
     registration = Registration(Source.PMD_JOINT, **found)
-    return Inside().after("pmd", START_NS, registration, 60.0)
+    return FrameEvidence().after("pmd", START_NS, registration, 60.0)
 
 
 def test_misfits_of_a_minute_are_tested_together_and_older_ones_forgotten():
@@ -364,7 +364,7 @@ def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_i
     told = []
     for step_m in np.linspace(0.0, 0.05, 51):
         sizes = [OtherSize(share, -60.0, np.eye(6)[2] * step_m) for share in (-0.03, 0.03)]
-        track.memory = replace(track.memory, inside=inside(other_sizes=partial(tuple, sizes)))
+        track.memory = replace(track.memory, frames=inside(other_sizes=partial(tuple, sizes)))
         told.append(track.judge(stamp_ns, sensor="pmd"))
     assert {each.state for each in told} == {IntegrityState.NOMINAL, IntegrityState.CAUTION}
     assert all((SIZE_DECLARED in each.reason) == (each.state is IntegrityState.CAUTION) for each in told)
@@ -372,7 +372,7 @@ def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_i
 
 def test_sizes_of_frames_within_a_second_count_as_one():
     size = OtherSize(0.03, 10.0, np.zeros(6))
-    told = Inside()
+    told = FrameEvidence()
     for k in range(10):
         registration = Registration(Source.LIDAR, other_sizes=lambda: (size,))
         told = told.after("lidar", START_NS + k * SECOND_NS // 10, registration, 60.0)
@@ -381,7 +381,7 @@ def test_sizes_of_frames_within_a_second_count_as_one():
 
 
 def test_however_many_frames_prefer_a_size_an_error_that_they_share_may_be_the_reason():
-    told = Inside()
+    told = FrameEvidence()
     for k in range(10):
         size = OtherSize(0.03, 10.0, np.zeros(6), 6.0)
         registration = Registration(Source.LIDAR, other_sizes=partial(tuple, [size]))
@@ -415,7 +415,7 @@ def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
 def test_distances_that_are_not_good_enough_take_nothing_away_and_are_told(track, off_m, sigma_m, state):
     before = follow(track, PMD_S)[-1]
     part = PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), sigma_m)
-    track.memory = replace(track.memory, inside=inside(by_part=part))
+    track.memory = replace(track.memory, frames=inside(by_part=part))
     told = track.measure(PMD_S[-1] + 0.1)
     assert told.state is state
     if state is IntegrityState.CAUTION:

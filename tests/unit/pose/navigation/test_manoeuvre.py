@@ -88,7 +88,7 @@ def test_a_pose_that_no_allowed_acceleration_explains_is_refused_with_the_settin
     assert not output.status.accepted
     reason = output.status.reason
     assert reason.startswith("gate: nis")
-    assert "at most 16.8: 19.0 deg and " in reason
+    assert "limit 16.8: 19.0 deg and " in reason
     assert "raise filter.angular_acceleration_density_rad2_s3 to " in reason
     assert "filter.acceleration_density" not in reason
     value = float(reason.rsplit(" ", 1)[1])

@@ -280,12 +280,12 @@ def test_a_coasting_track_is_lost_when_its_covariance_reaches_the_alert_limit(al
         (WIDE, ""),
     ],
 )
-def test_a_track_whose_measurements_are_vaguer_than_the_alert_limit_is_of_no_use(alert, reason):
+def test_a_track_whose_measurements_are_vaguer_than_the_alert_limit_is_unusable(alert, reason):
     made = tracking(alert=alert)
     output = made.see(good(START_S + 1.1))
     assert output.status.mode == Mode.TRACKING
-    assert reason in output.of_no_use
-    assert bool(output.of_no_use) == bool(reason)
+    assert reason in output.unusable
+    assert bool(output.unusable) == bool(reason)
 
 
 def test_a_quiet_target_is_predicted_for_longer_than_a_restless_one():
@@ -782,4 +782,4 @@ def test_an_estimate_beyond_the_alert_limit_stays_so_while_no_frame_comes():
     made = tracking(alert=AlertLimit(attitude_deg=0.01), rate_hz=0.5, until_s=START_S + 10.0)
     told = made.tick(START_S + 12.8)
     assert made.mode == Mode.TRACKING
-    assert told.of_no_use.startswith("sigma of the attitude")
+    assert told.unusable.startswith("sigma of the attitude")

@@ -81,7 +81,7 @@ def test_what_all_ranges_are_too_long_by_is_no_contradiction():
 
 def test_a_detail_out_of_place_contradicts():
     turned = POSE * make_pose(rotation=Rotation.from_euler("x", 60.0, degrees=True))
-    assert "contradict" in compared(seen(T=turned)).reason(LIMITS)
+    assert "are inconsistent with the pose" in compared(seen(T=turned)).reason(LIMITS)
 
 
 def test_a_dark_place_where_surface_should_be_contradicts_and_a_wiped_one_does_not():
@@ -97,7 +97,7 @@ def test_a_bright_place_where_no_surface_should_be_contradicts():
     images = seen()
     images[2][2:8, 2:8] = LIT
     found = compared(images)
-    assert "a detail contradicts" in found.reason(LIMITS)
+    assert "a detail is inconsistent" in found.reason(LIMITS)
     assert np.argwhere(found.marked).tolist() == [[i, j] for i in range(2, 8) for j in range(2, 8)]
     assert PixelMarks(found.marked, STRIDE).centre_px == (20, 20)
 
@@ -110,7 +110,7 @@ def test_a_few_dark_pixels_say_that_a_surface_is_missing_where_as_many_wrong_ran
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == ""
     range_m[few], shade[few] = np.nan, SKY
     assert compared((range_m, sigma_m, shade)).reason(LIMITS) == (
-        "a detail is missing: 5 of 25 pixels there are dark, 3 at most"
+        "a detail is missing: 5 of 25 pixels of a patch are dark, limit 3"
     )
 
 
@@ -129,7 +129,7 @@ def test_foil_that_is_seen_obliquely_may_be_as_dark_as_the_sky(angle_deg, contra
 
 @pytest.mark.parametrize("part", ["nose", "box", "bracket"])
 def test_a_part_that_is_not_there_contradicts(part):
-    assert "contradicts" in compared(seen(target=without(part))).reason(LIMITS)
+    assert "is inconsistent with the pose" in compared(seen(target=without(part))).reason(LIMITS)
 
 
 @pytest.mark.parametrize(("off_px", "contradicts"), [(0.4, False), (1.5, True)])

@@ -35,7 +35,7 @@ def test_misplaced_edges_are_a_reason_with_figures():
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_ranges_that_do_not_fit_the_size_are_a_reason_and_farther_off_more_is_tolerated(sign):
     assert wrong_scale(LIMITS, bias_m=sign * 0.059, sigma_m=0.025, range_m=2.5) == ""
-    assert "0.061 m off the distance that the edges give, 0.060 m at most" in wrong_scale(
+    assert "0.061 m from the distance that the edges give, limit 0.060 m" in wrong_scale(
         LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=2.5
     )
     assert wrong_scale(LIMITS, bias_m=sign * 0.061, sigma_m=0.025, range_m=5.0) == ""

@@ -248,7 +248,7 @@ def test_rivals_that_the_alignment_leads_to_one_pose_are_that_pose():
 def test_no_pose_is_accepted_while_one_that_is_refused_explains_the_whole_frame_better(tracker):
     search = ViewSearch(PmdAcquisitionConfig(), target("mockup"), tracker(refuses=OBLIQUE))
     result = search.acquire(seen("mockup", OBLIQUE))
-    why = "a pose that is refused explains the frame better than those that are not: edges are elsewhere"
+    why = "a refused pose explains the frame better than the accepted ones; refused as edges are elsewhere"
     assert (result.belief.reason == why) is (tracker is Oblique)
     assert (result.outcome is Outcome.FAILED) is (tracker is Oblique)
 

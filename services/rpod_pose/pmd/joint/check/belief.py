@@ -1,4 +1,4 @@
-"""The belief in a pose by one frame of a PMD camera: by its pixels, its edges and its scale."""
+"""The belief in a pose from one frame of a PMD camera: from its pixels, its edges and its scale."""
 
 import math
 
@@ -26,7 +26,7 @@ def frame_belief(
         tuning: limits.
         inconsistent: pixels that are inconsistent with the pose.
         in_place: share of the expected edges that are near their place.
-        bias_m: length by which all ranges are too long for the edges, as fitted.
+        bias_m: fitted length by which all ranges are longer than the edges require.
         sigma_m: standard deviation of the camera's bias.
         range_m: distance of the target.
     """
@@ -44,20 +44,21 @@ def frame_belief(
     if reason:
         return contradicted(reason, **evidence)
     if in_place < limits.weak_edge_share:
-        return doubtful(f"only {in_place:.0%} of the edges are in their place", **evidence)
+        needed = f"{limits.weak_edge_share:.0%} needed for a sure pose"
+        return doubtful(f"only {in_place:.0%} of the edges are in their place, {needed}", **evidence)
     return Belief(evidence=evidence)
 
 
 def edges_in_place(limits: JointAcceptanceConfig, found: EdgeEvidence) -> float:
     """Return the share of the expected edges found near their place, plus an allowance for chance.
 
-    Each edge counts by the information that a missing one would be, -ln(1 - p) with p the probability of
-    finding it at the right pose. One that the image may hide in any case proves little. The result is 1 if
-    too few places are checked, or if no edge is expected.
+    Each edge has the weight -ln(1 - p), where p is the probability of finding it at the right pose. This is
+    the information that its absence would give: an edge that the image often does not show proves little.
+    The result is 1 if too few places are checked, or if no edge is expected.
 
     Args:
-        limits: least numbers and shares that are conclusive.
-        found: the edges.
+        limits: least number of checked places.
+        found: statistics of the edges.
     """
     weighed, expected, squares = found.in_place
     if found.checked < limits.min_edges or expected == 0.0:
@@ -66,7 +67,7 @@ def edges_in_place(limits: JointAcceptanceConfig, found: EdgeEvidence) -> float:
 
 
 def source_of(limits: JointAcceptanceConfig, *, points: int, edges: int) -> Source:
-    """Return the images by which a pose is measured, by its numbers of points and of places of edges."""
+    """Return which images measure a pose, from its numbers of points and of checked places of edges."""
     if edges < limits.min_edges:
         return Source.PMD_DEPTH
     return Source.PMD_JOINT if points >= limits.min_points else Source.PMD_AMPLITUDE
@@ -80,11 +81,11 @@ def misplaced_edges(limits: JointAcceptanceConfig, in_place: float) -> str:
 
 
 def bias_sigmas(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> float:
-    """Return the bias of the ranges beyond that of ``scale_share``, in standard deviations of the camera's.
+    """Return the bias of the ranges beyond the tolerance of ``scale_share``, in standard deviations.
 
     Args:
         limits: tolerances.
-        bias_m: length by which all ranges are too long for the edges, as fitted.
+        bias_m: fitted length by which all ranges are longer than the edges require.
         sigma_m: standard deviation of the camera's bias.
         range_m: distance of the target.
     """
@@ -94,8 +95,8 @@ def bias_sigmas(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float,
 def wrong_scale(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float, range_m: float) -> str:
     """Return why ranges and edges cannot belong to one target; empty if they can.
 
-    Edges show the apparent size of the target, ranges its distance. The two are inconsistent for a target of
-    another size, or in an image with another focal length.
+    Edges show the apparent size of the target, and ranges its distance. The two are inconsistent if the
+    target has another size than its model, or if the focal length is wrong.
 
     Args:
         limits: tolerances.
@@ -106,20 +107,20 @@ def wrong_scale(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float,
     if bias_sigmas(limits, bias_m=bias_m, sigma_m=sigma_m, range_m=range_m) <= limits.bias_sigmas:
         return ""
     most_m = limits.bias_sigmas * sigma_m + limits.scale_share * range_m
-    return f"ranges are {bias_m:+.3f} m off the distance that the edges give, {most_m:.3f} m at most"
+    return f"ranges differ by {bias_m:+.3f} m from the distance that the edges give, limit {most_m:.3f} m"
 
 
 def by_distances(t: FloatArray, bias_m: float, sigma_m: float, scale: float) -> PartSolution:
-    """Return the position by the measured distances alone, without the size that the edges show.
+    """Return the position measured by the distances alone, without the apparent size that the edges show.
 
-    Edges tell the distance by the size of the target as its model has it. A model of another size is seen in
-    the fitted bias of the distances only.
+    Edges give the distance only if the model has the right size. If the size is wrong, only the fitted bias
+    of the distances shows it.
 
     Args:
-        t: position of the target in the sensor, shape (3,), m.
+        t: position of the target, sensor axes, shape (3,), m.
         bias_m: as for ``bias_sigmas``.
         sigma_m: as for ``bias_sigmas``.
-        scale: standard deviation of the target's size, as a share, that its file declares.
+        scale: relative standard deviation of the target's size, which its file declares.
     """
     range_m = math.hypot(*t)
     return PartSolution(

@@ -1,15 +1,16 @@
-"""Self-check of a pose in a PMD frame, independent of the target's materials: pixels inconsistent with it.
+"""Self-check of a pose in a PMD frame: the pixels that are inconsistent with it, whatever the materials.
 
-The target is rendered at the pose, and every coarse pixel is checked. A range is inconsistent with the pose
-if it differs from everything rendered in and around the pixel, within the tolerated displacement, by more
-than the tolerance and by more than three standard deviations of its own noise, which is estimated from its
-neighbours. A range may be longer where the target reflects light onto itself (``reflections``). A pixel
-without a range is inconsistent if it is bright and no surface is around it, or if it is as dark as the sky
-where surface is rendered, unless the surface is seen so obliquely that foil would be as dark.
+The target is rendered at the pose, and every coarse pixel is checked. A range is compared with all rendered
+ranges in and around its pixel, within the tolerated displacement. It is inconsistent with the pose if it
+differs from all of them by more than the tolerance and by more than three standard deviations of its noise,
+which is estimated from its neighbours. A range may be longer if the target reflects light onto itself
+(``reflections``). A pixel without a range is inconsistent in two cases: it is bright and no surface is
+rendered around it, or it is as dark as the sky and a surface is rendered. In the second case the surface must
+not be seen so obliquely that foil would be as dark.
 
 At the right pose such pixels are rare and scattered, whatever the noise: they come from the tails of its
 distribution, from mixed pixels and from multiple reflections. With a wrong pose, another body or a mirrored
-image they lie together where a detail is missing or misplaced. Therefore both their share is limited and
+image they form groups where a detail is missing or misplaced. Therefore their share is limited, and also
 their number in one small patch. Missing surface is very rare at the right pose, so fewer such pixels are
 allowed.
 """
@@ -36,12 +37,12 @@ from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.types import Float32Array
 
 SIGMAS = 3.0
-"""Greatest consistent error of a range, in standard deviations. Physics: one in 370 normal errors is
+"""Largest consistent error of a range, in standard deviations. Physics: one in 370 normal errors is
 larger."""
 DARK_SPREADS, LIT_SPREADS = 4.5, 9.0
-"""Limits of amplitude above the sky's median, in median absolute deviations: up to the first a pixel is as
+"""Limits of amplitude above the sky's median, in median absolute deviations: below the first a pixel is as
 dark as the sky, above the second it shows a surface. Physics: three and six standard deviations of normal
-noise; dozens of an image's pixels of sky are above three."""
+noise; in an image, dozens of pixels of the sky are above three."""
 SKY_SAMPLES = 600
 """Number of pixels from which the sky's amplitude is estimated. Numerics: their median is known to a
 twentieth of a standard deviation."""
@@ -50,19 +51,18 @@ BRIGHT = 0.25, 4.0
 glints or is beside a glint. Hand: a narrower interval finds fewer contradictions, a wider one takes shaded
 faces for bright."""
 DIM = 0.15
-"""Greatest sky amplitude over the target's median. Hand: from far away, foil at an angle is as dark as the
-sky."""
+"""Largest amplitude of the sky, over the target's median, at which dark pixels are checked. Hand: from far
+away, foil at an angle is as dark as the sky."""
 NEGLIGIBLE = 3
-"""Number of inconsistent pixels that is always tolerated. Hand: a distant target has few pixels
-altogether."""
+"""Number of inconsistent pixels that is always tolerated. Hand: a distant target has only few pixels."""
 LEAST_HITS = 6
-"""Least number of the nine rays in and around a pixel that must meet the target for a surface to be missing.
-Hand: some may miss the facets of a thin part; the side of a face has six."""
+"""Least number of the nine rays in and around a pixel that meet the target if a missing surface counts. Hand:
+some may miss the facets of a thin part; beside the edge of a face six meet it."""
 NOT_REFLECTED = np.empty(0)
-"""No knowledge of second reflections."""
+"""Table of second reflections that are unknown."""
 GRAZING = 0.2
-"""Cosine of incidence below which foil is as dark as the sky. Hand: 78 deg; only pixels that face the camera
-more count as missing."""
+"""Cosine of incidence below which foil is as dark as the sky. Hand: 78 deg; a surface counts as missing only
+if it faces the camera more."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,13 @@ class Contradictions:
     """Numbers of pixels that are inconsistent with a pose."""
 
     pixels: int
-    """Number of checked pixels: measured, bright, or dark where surface is rendered."""
+    """Number of checked pixels: measured, bright, or dark where a surface is rendered."""
     inconsistent: int
     """Number of checked pixels that are inconsistent with the pose."""
     most_in_patch: int
-    """Greatest number of inconsistent pixels in one patch."""
+    """Largest number of inconsistent pixels in one patch."""
     most_missing: int
-    """Greatest number of pixels in one patch that are as dark as the sky where surface is rendered."""
+    """Largest number of pixels in one patch that are as dark as the sky where a surface is rendered."""
     marked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_), compare=False)
     """Which coarse pixels are inconsistent with the pose, shape (rows, columns)."""
 
@@ -99,17 +99,17 @@ class Contradictions:
         """Return why the pose does not explain the frame; empty if it does."""
         share, most = self.evidence["inconsistent_pixel_share"], limits.most_inconsistent_share
         if share > most:
-            return f"{share:.1%} of {self.pixels} pixels contradict the pose, {most:.0%} at most"
+            return f"{share:.1%} of {self.pixels} pixels are inconsistent with the pose, limit {most:.1%}"
         area = limits.patch_px**2
         if self.most_in_patch > limits.most_in_patch:
             return (
-                f"a detail contradicts the pose: {self.most_in_patch} of {area} pixels there, "
-                f"{limits.most_in_patch} at most"
+                f"a detail is inconsistent with the pose: {self.most_in_patch} of {area} pixels of a patch, "
+                f"limit {limits.most_in_patch}"
             )
         if self.most_missing > limits.most_missing:
             return (
-                f"a detail is missing: {self.most_missing} of {area} pixels there are dark, "
-                f"{limits.most_missing} at most"
+                f"a detail is missing: {self.most_missing} of {area} pixels of a patch are dark, "
+                f"limit {limits.most_missing}"
             )
         return ""
 
@@ -118,16 +118,18 @@ class SeenPixels(NamedTuple):
     """A frame's coarse pixels, shape (rows, columns) each; values that are not above 0 are unknown."""
 
     range_m: FloatArray
+    """Ranges along the rays."""
     sigma_m: FloatArray
     """Standard deviations of the ranges' noise."""
     amplitude: FloatArray
+    """Amplitudes, counts."""
 
 
 class Shades(NamedTuple):
     """Limits of amplitude between dark and bright pixels."""
 
     dark: float
-    """Greatest amplitude of a pixel as dark as the sky."""
+    """Largest amplitude of a pixel as dark as the sky; 0 if dark pixels are not checked."""
     bright: float
     """Amplitude above which a pixel shows a surface."""
     glinting: float
@@ -135,7 +137,7 @@ class Shades(NamedTuple):
 
 
 class Tolerated(NamedTuple):
-    """Tolerated errors."""
+    """Errors that the check tolerates."""
 
     range_m: float
     """Tolerated error of a range in addition to its noise."""
@@ -144,16 +146,17 @@ class Tolerated(NamedTuple):
     place_px: float
     """Tolerated displacement in the image."""
     reflected_m: FloatArray
-    """Length by which a second reflection may lengthen a range, at normal incidence, shape (T,) or (0,)."""
+    """Length by which a second reflection may lengthen a range on each triangle at normal incidence, shape
+    (T,); shape (0,) if it is unknown."""
 
 
 class Shown(NamedTuple):
-    """The target at a pose."""
+    """The target rendered at a pose."""
 
     coarse: RenderingArrays
     """Rendering on the coarse pixels."""
     fine: FineRanges
-    """Ranges of more rays, where they are known."""
+    """Ranges of a rendering with more rays; ``COARSE_ONLY`` without such a rendering."""
 
 
 class PixelCounts(NamedTuple):
@@ -178,7 +181,7 @@ def contradictions(
     reflected_m: FloatArray = NOT_REFLECTED,
     fine: FineRanges = COARSE_ONLY,
 ) -> Contradictions:
-    """Return how many of a frame's coarse pixels are inconsistent with a pose.
+    """Return which of a frame's coarse pixels are inconsistent with a pose, and their numbers.
 
     Args:
         seen: the frame's coarse pixels.
@@ -189,8 +192,8 @@ def contradictions(
         uneven_m: standard deviation of range errors that differ across the target.
         bias_m: length by which all ranges are too long.
         reflected_m: length by which light that is reflected twice may lengthen a range at normal incidence,
-            for each triangle, shape (T,); empty if it is not known.
-        fine: the same pose with more rays, which shows thin parts.
+            for each triangle, shape (T,); shape (0,) if it is unknown.
+        fine: a rendering at the same pose with more rays, which shows thin parts.
     """
     bright, glinting = (share * typical for share in BRIGHT)
     sky, spread = sky_amplitude(seen.range_m, seen.amplitude, rendered.triangle, typical)
@@ -210,15 +213,15 @@ def sky_amplitude(
     owner: NDArray[np.int32],
     typical: float,
 ) -> tuple[float, float]:
-    """Return the sky's median amplitude and its median absolute deviation; zeros if they are unknown.
+    """Return the median amplitude of the sky and its median absolute deviation; zeros if they are unknown.
 
-    They are those of pixels with nothing measured nor rendered.
+    They are taken from pixels without a measured range and without a rendered surface.
 
     Args:
         range_m: as for ``contradictions``.
         amplitude: as for ``contradictions``.
         owner: rendered triangles, -1 for none, same shape.
-        typical: median amplitude of the target; brighter pixels are not the sky's.
+        typical: median amplitude of the target; brighter pixels do not show the sky.
     """
     rows, columns = owner.shape
     step = rows * columns // SKY_SAMPLES + 1
@@ -238,9 +241,7 @@ def sky_amplitude(
 def count_inconsistent(
     seen: SeenPixels, shown: Shown, shades: Shades, tolerated: Tolerated, patch: int
 ) -> PixelCounts:
-    """Return the numbers of checked pixels and of inconsistent ones, the greatest in one patch, and which.
-
-    Those in one patch are the numbers of inconsistent pixels and of pixels with missing surface.
+    """Return the inconsistent pixels and the numbers of pixels: the fields of ``Contradictions``.
 
     Args:
         seen: the frame's coarse pixels.
@@ -288,7 +289,7 @@ def count_inconsistent(
 
 @kernel
 def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray) -> float:
-    """Return by how much light that is reflected twice may lengthen the range of a coarse pixel, m.
+    """Return the length by which light that is reflected twice may lengthen a coarse pixel's range, m.
 
     Args:
         rendered: the target at the pose.
@@ -304,13 +305,13 @@ def longer_m(rendered: RenderingArrays, i: int, j: int, reflected_m: FloatArray)
 
 @inner_kernel
 def _should_show(shown: Shown, i: int, j: int, reach: float) -> bool:
-    """Return whether a pixel lies inside a surface that would be brighter than the sky in any material."""
+    """Return whether a pixel lies in a surface that is brighter than the sky, whatever its material."""
     return facing(shown.coarse, i, j) >= GRAZING and _around(shown, i, j, reach).hits >= LEAST_HITS
 
 
 @inner_kernel
 def _around(shown: Shown, i: int, j: int, reach: float) -> Around:
-    """Return the ranges in and around a coarse pixel, by the fine rays if there are any."""
+    """Return the ranges in and around a coarse pixel, from the fine rays if there are any."""
     if shown.fine.range_m.size:
         return around_finely(shown.fine, shown.coarse.stride, i, j, reach)
     return around(shown.coarse, i, j, reach)

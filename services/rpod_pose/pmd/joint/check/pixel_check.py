@@ -1,10 +1,10 @@
-"""Pixels of a frame that are inconsistent with a pose: coarse at first, then by finer means.
+"""Check for pixels of a frame that are inconsistent with a pose: coarse first, then in two finer steps.
 
-The last of these is the wiggling of a camera that is not calibrated. The modulation is not exactly a sine.
-With four samples a period its harmonics make an error of the range that repeats with an eighth of the
+The last step corrects the wiggling of a camera that is not calibrated. Its modulation is not exactly a sine.
+With four samples a period, the harmonics cause an error of the range whose period is an eighth of the
 modulation's wavelength, c / (8 f) (M. Lindner et al., Computer Vision and Image Understanding 114, 2010). Its
-phase and amplitude differ from camera to camera. A small target is much shorter than the period: its near end
-may be measured centimetres off its far end.
+phase and amplitude differ from camera to camera. The errors at the near and the far end of a target may
+differ by centimetres.
 """
 
 from functools import partial
@@ -25,10 +25,10 @@ from rpod_schemas.config.pmd.joint import JointTuning, RangeErrorConfig
 from rpod_target import Target
 
 PERIODS = 8.0
-"""Periods of the error in one wavelength of the modulation, of which the way to the target and back is two
-ranges. Physics: four samples alias the third and the fifth harmonic to four periods in half a wavelength."""
+"""Number of periods of the error in one wavelength of the modulation; the light travels twice the range.
+Physics: four samples alias the third and the fifth harmonic to four periods in half a wavelength."""
 ROUNDS = 3
-"""Number of weighted fits, after each of which outliers count less. Numerics: a budget of computation."""
+"""Number of weighted fits; each reduces the weights of outliers. Numerics: a budget of computation."""
 
 
 class PixelCheck:
@@ -53,16 +53,16 @@ class PixelCheck:
     def contradictions(
         self, seen: JointFrame, pose: PoseArrays, bias_m: float, buffers: RenderBuffers
     ) -> Contradictions:
-        """Return the pixels inconsistent with a pose.
+        """Return the pixels that are inconsistent with a pose.
 
-        Where too many are, the pose is rendered with more rays, and then the ranges are corrected by the
-        wiggling that explains them best.
+        If there are too many, the pose is rendered with more rays. If there are still too many, the ranges
+        are corrected by the wiggling that explains them best.
 
         Args:
             seen: the frame.
             pose: pose of the target.
             bias_m: length by which all ranges are too long.
-            buffers: room for the coarse pixels.
+            buffers: buffers for the rendered coarse pixels.
         """
         view, limits, (R, t) = seen.view, self._limits, pose
         cast_pose(view.coarse.arrays, self._triangles_m, R, t, True, *buffers)
@@ -91,14 +91,14 @@ class PixelCheck:
         Args:
             seen: the frame.
             pose: pose of the target.
-            buffers: room for the coarse pixels.
+            buffers: buffers for the rendered coarse pixels.
         """
         measured = Measured(seen.range_m, seen.sigma_m, self._near_m, self._missing_weight)
         agreeing, checked = agreement(measured, seen.view.coarse.arrays, self._triangles_m, pose, buffers)
         return agreeing / checked if checked else 0.0
 
     def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
-        """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 where it is not known."""
+        """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 if it is unknown."""
         range_m, owner = shown
         both = np.isfinite(seen.range_m) & (owner >= 0)
         measured_m = seen.range_m[both]
@@ -122,16 +122,16 @@ class PixelCheck:
 def wiggling(
     error_m: FloatArray, range_m: FloatArray, frequencies_hz: FloatArray, *, sigma_m: float, scale_m: float
 ) -> FloatArray:
-    """Return the wiggling that explains errors of ranges best, beyond an error that all of them share, m.
+    """Return the wiggling that explains errors of ranges best, without their common offset, shape (N,), m.
 
-    The waves' amplitudes have a prior, so that wiggling explains no more error than a camera may have.
+    The amplitudes have a prior, so that the wiggling is not larger than that of a real camera.
 
     Args:
         error_m: measured ranges less those expected, shape (N,), m.
         range_m: measured ranges, shape (N,), m.
         frequencies_hz: modulation frequencies, shape (F,), Hz; without any, the result is 0.
         sigma_m: standard deviation of the camera's wiggling, m.
-        scale_m: Geman-McClure scale of an error that no wiggling explains, m.
+        scale_m: Geman-McClure scale of the errors that remain after the wiggling, m.
     """
     if not len(error_m) or not len(frequencies_hz) or sigma_m == 0.0:
         return np.zeros(len(error_m))

@@ -1,12 +1,12 @@
-"""How much too long a time-of-flight camera may measure a range, because light is reflected twice.
+"""Upper limit of the error of a range in a time-of-flight camera when light is reflected twice on the target.
 
-In a corner the camera also receives light that another surface has sent there. Its way is longer, and the
-camera measures a mean of all ways, weighted by their strengths (S. Fuchs, Multipath Interference Compensation
-in Time-of-Flight Camera Images, ICPR 2010). A Lambertian place on which a share F of the hemisphere, weighted
-by the cosine, shows the target itself receives at most the share F of the direct light at normal incidence,
-and F / cos(theta) of it if the direct light comes at an angle theta. The way is longer by at most twice the
-distance d of the other surface, and a range is half a way, so the range is too long by at most
-F d / cos(theta).
+In a corner the camera also receives light that another surface has reflected there. The path of this light is
+longer, and the camera measures a mean of all paths, weighted by their strengths (S. Fuchs, Multipath
+Interference Compensation in Time-of-Flight Camera Images, ICPR 2010). From a place on the target, a share F
+of the hemisphere, weighted by the cosine, may show the target itself. A Lambertian place then receives at
+most the share F of the direct light at normal incidence, and F / cos(theta) of it if the direct light comes
+at an angle theta. The path is longer by at most twice the distance d of the other surface, and a range is
+half a path. So the range is too long by at most F d / cos(theta).
 """
 
 import numpy as np
@@ -18,9 +18,9 @@ from rpod_target.tables import kept_of
 DIRECTIONS = 32
 """Number of directions from each place. Numerics: a budget of computation."""
 PLACES = 100_000
-"""Number of places on the target; each triangle has one at least. Numerics: a budget of computation."""
+"""Number of places on the target; each triangle has at least one. Numerics: a budget of computation."""
 MOST_PLACES = 16
-"""Greatest number of places on a triangle. Numerics: a budget for targets of few triangles."""
+"""Largest number of places on a triangle. Numerics: a budget for targets of few triangles."""
 MOST_RAYS = 2_000_000
 """Number of rays that are cast at a time. Numerics: memory."""
 NUDGE_SHARE = 1e-4
@@ -29,9 +29,9 @@ rounding, far below any detail."""
 
 
 def reflected_m(target: Target) -> FloatArray:
-    """Return F d, the greatest on each triangle, m, shape (T,): the error at normal incidence.
+    """Return the largest F d on each triangle, m, shape (T,): the limit of the error at normal incidence.
 
-    It is kept in the cache of targets, since Open3D alone takes 0.7 s of a start.
+    The result is kept in the cache of targets, since the import of Open3D alone takes 0.7 s.
     """
     inputs = target.triangles_m, target.normals, target.radius_m, DIRECTIONS, PLACES, MOST_PLACES, NUDGE_SHARE
     return kept_of(target, "reflected", 1, inputs, lambda: {"error_m": _computed_m(target)})["error_m"]

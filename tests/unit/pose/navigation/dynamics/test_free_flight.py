@@ -98,7 +98,7 @@ def test_a_body_of_revolution_is_not_predicted_without_torque():
     free = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 1, exact=True, continuous=True)])
     target = replace(MOCKUP, symmetries=())
     object.__setattr__(target, "equivalence", free)
-    with pytest.raises(ConfigurationError, match="leave constant_rate"):
+    with pytest.raises(ConfigurationError, match="use constant_rate"):
         Dynamics.of(DynamicsConfig(target="torque_free"), target)
 
 

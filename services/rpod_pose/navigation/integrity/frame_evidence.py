@@ -1,9 +1,10 @@
-"""Tests of a sensor's frames for errors inside them: residuals of the model, and parts of the data.
+"""Evidence in a sensor's own frames that the target's model, its size or a part of the data is wrong.
 
-A method that supports it gives a registration a ``Misfit`` and a ``PartSolution`` (``rpod_pose.ports``). The
-sums of the misfits over a minute test whether the target's model and the pose are right. The position by a
-part of the data is a solution like those without a sensor: the level contains it, and a test compares it with
-the estimate.
+A method that supports it adds a ``Misfit``, poses for other sizes (``OtherSize``) and a ``PartSolution`` to a
+registration (``rpod_pose.ports``). The sums of the misfits over a minute test whether the target's model and
+the pose are right. The log odds of the other sizes test the size. The position by a part of the data is a
+solution like those without one sensor: the protection level includes it, and a test compares it with the
+estimate.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,35 +28,37 @@ WRONG_SIZE = (
 )
 
 SPREAD = 0.03
-"""Length over the range by which a wrong part is off. Hand: models of satellites are right within 1 to 3 % of
-their size (as ``slack_share`` of the scan's model)."""
+"""Largest error of a wrong part of the data, over the range. Hand: models of satellites are right within 1 to
+3 % of their size (as ``slack_share`` of the scan's model)."""
 
 UNLIKELY = 0.02
-"""Share of the risk below which the probability of another size is left out of the levels. Numerics: two of
-these add less than a twentieth."""
+"""Least probability of another size that counts in the levels, over the risk. Numerics: two smaller ones add
+less than a twentieth."""
 UNRESOLVED = 2.0 / 3.0
-"""Part of the way to another size up to which the frames cannot exclude a size. A likelihood prefers the
-nearer of two sizes, apart from a shift that right models show too. Hand: the shift was measured as 0.4 to
-0.8 % of the size (mock-up, ENVISAT), where the other size is 3 % off."""
+"""Largest deviation of a size that the frames cannot exclude, over that of the tested other size. A
+likelihood prefers the nearer of two sizes, apart from a shift that right models show too. Hand: the shift was
+measured as 0.4 to 0.8 % of the size (mock-up, ENVISAT), where the other size is 3 % off."""
 _MOST_LOG_ODDS = 50.0
-"""Largest log odds of which the exponential is taken. Numerics: it stays finite."""
+"""Largest log odds in an exponential; larger ones are clipped. Numerics: the result stays finite."""
 
 
 @dataclass(frozen=True, eq=False)
-class Inside:
-    """Results of the frames of the last minute, by the sensor's name."""
+class FrameEvidence:
+    """Misfits, other sizes and part solutions of the accepted frames of the last minute, by sensor."""
 
     misfits: Mapping[str, tuple[tuple[int, Misfit], ...]] = field(default_factory=dict)
-    """Stamps and misfits of the frames."""
+    """Stamps, ns, and misfits of the frames."""
     sizes: Mapping[str, tuple[tuple[int, tuple[OtherSize, ...]], ...]] = field(default_factory=dict)
-    """Stamps of the frames, and their poses if the target had another size."""
+    """Stamps, ns, of the frames, and their poses for other sizes of the target."""
     parts: Mapping[str, tuple[int, PartSolution]] = field(default_factory=dict)
-    """Stamp and solution by a part of the newest frame that has one."""
+    """Stamp, ns, and part solution of the newest frame that has one."""
 
-    def after(self, sensor: str, stamp_ns: int, found: Registration | None, memory_s: float) -> "Inside":
-        """Return this with a frame whose pose was accepted, and without those that are older than a memory.
+    def after(
+        self, sensor: str, stamp_ns: int, found: Registration | None, memory_s: float
+    ) -> "FrameEvidence":
+        """Return the evidence with an accepted frame, and without frames older than ``memory_s``.
 
-        An error of the model lasts, so that frames of a minute count together.
+        An error of the model lasts, so that all frames of this time are tested together.
         """
         oldest_ns = stamp_ns - round(memory_s * 1e9)
         misfits, sizes = _since(self.misfits, oldest_ns), _since(self.sizes, oldest_ns)
@@ -66,33 +69,34 @@ class Inside:
             sizes[sensor] = (*sizes.get(sensor, ()), (stamp_ns, other_sizes))
         if found is not None and found.by_part is not None:
             parts[sensor] = (stamp_ns, found.by_part)
-        return Inside(misfits, sizes, parts)
+        return FrameEvidence(misfits, sizes, parts)
 
     def tests(self, range_m: float, range_share: float, correlated_s: float = 0.0) -> list[Statistic]:
         """Return the tests of all sensors.
 
-        A likelihood ratio of r has at most the probability 1 / r if the model is right (J. Ville, 1939), as
-        2 log r has in chi-squared's distribution with two degrees of freedom.
+        If the model is right, a likelihood ratio reaches r with at most the probability 1 / r (J. Ville,
+        1939). So 2 log r has at most the tail of chi-squared with two degrees of freedom.
 
         Args:
             range_m: distance of the target.
             range_share: standard deviation of a slow drift of the ranges, over the range.
-            correlated_s: time within which the sizes of two frames count as one.
+            correlated_s: time within which the log odds of two frames count as one.
         """
         tests = []
-        for name, told in self.sizes.items():
-            for size, log_odds in _log_odds(told, correlated_s):
-                text = f"{name}: a target of {1.0 + size.share:.0%} of its size explains the frames better"
+        for name, frames in self.sizes.items():
+            for size, log_odds in _log_odds(frames, correlated_s):
+                text = f"{name}: {_of_size(1.0 + size.share)} explains the frames better"
                 tests.append(Statistic(text, 2.0 * max(log_odds, 0.0), 2, OTHER_SIZE))
         for name, misfits in self.misfits.items():
             value = sum(misfit.value for _, misfit in misfits)
             variance = sum(misfit.variance for _, misfit in misfits)
             squared = max(value, 0.0) ** 2 / variance if variance > 0.0 else 0.0
-            tests.append(Statistic(f"{name}: residuals of neighbours are alike", squared, 1, WRONG_MODEL))
+            text = f"{name}: residuals of neighbours are correlated"
+            tests.append(Statistic(text, squared, 1, WRONG_MODEL))
         for name, (_, part) in self.parts.items():
             variance = part.sigma_m**2 + (range_share * range_m) ** 2
             length_m = float(np.linalg.norm(part.offset_m))
-            text = f"{name}: position {1e3 * length_m:.0f} mm off that by {part.name}"
+            text = f"{name}: position {1e3 * length_m:.0f} mm from that by {part.name}"
             tests.append(Statistic(text, length_m**2 / variance, 1, WRONG_SIZE))
         return tests
 
@@ -101,10 +105,15 @@ class Inside:
     ) -> list[Solution]:
         """Return the solutions by parts of the data, along the line of sight to the target.
 
-        The target is at ``place_m`` as seen from the sensor, chaser axes, shape (3,).
-        A part that is wrong, of which ``share`` is the prior probability, is off by any length up to
-        ``SPREAD`` of the range; a right one by its own error. Where both agree, a wrong part is improbable by
-        Bayes's rule, as it would agree by chance.
+        A right part is off by its own error only. A wrong one is off by any length up to ``SPREAD`` times the
+        range. If part and estimate agree, a wrong part is improbable by Bayes's rule, because it would agree
+        only by chance.
+
+        Args:
+            estimate: the estimate.
+            place_m: position of the target relative to the sensor, chaser axes, shape (3,).
+            share: prior probability that a part is wrong.
+            range_share: standard deviation of a slow drift of the ranges, over the range.
         """
         range_m = max(float(np.linalg.norm(place_m)), 1e-6)
         along = place_m / range_m
@@ -123,56 +132,60 @@ class Inside:
     def size_solutions(
         self, estimate: FilterState, risk: float, share: float, correlated_s: float
     ) -> tuple[list[Solution], list[Solution]]:
-        """Return the solutions for another size of the target, and those for sizes between.
+        """Return the solutions for the tested other sizes of the target, and those for sizes between.
 
-        The prior probability of another size is ``share``, and by Bayes's rule that times the odds of the
-        frames. It is left out when they have excluded it. Sizes nearer to the model's own keep the prior.
+        By Bayes's rule, the probability of another size is its prior times the odds of the frames. A size
+        that the frames have excluded is left out. Sizes between this one and the model's own keep the prior.
         The separation is that of the newest frame: an error of the model lasts as long as a view does.
 
         Args:
             estimate: the estimate.
             risk: risk of the levels.
-            share: prior probability that the size is wrong.
+            share: prior probability that the size is wrong, larger or smaller.
             correlated_s: time within which two frames count as one.
         """
         turn = np.kron(np.eye(2), rotation_matrix(estimate.T_chaser_target))
         covariance = estimate.covariance[POSE, POSE]
         others, between = [], []
-        for name, told in self.sizes.items():
-            for size, log_odds in _log_odds(told, correlated_s):
+        for name, frames in self.sizes.items():
+            for size, log_odds in _log_odds(frames, correlated_s):
                 step = turn @ size.step
                 probability = min(0.5 * share * exp(min(log_odds, _MOST_LOG_ODDS)), 1.0)
-                text = f"{name}: a target of {1.0 + size.share:.0%} of its size"
+                text = f"{name}: {_of_size(1.0 + size.share)}"
                 if probability > UNLIKELY * risk:
                     others.append(Solution(text, step, covariance, probability))
-                text = f"{name}: a target of {1.0 + UNRESOLVED * size.share:.0%} of its size"
+                text = f"{name}: {_of_size(1.0 + UNRESOLVED * size.share)}"
                 between.append(Solution(text, UNRESOLVED * step, covariance, 0.5 * share))
         return others, between
 
 
-_Told = TypeVar("_Told")
+def _of_size(factor: float) -> str:
+    return f"a target of {factor:.0%} of the model's size"
+
+
+_Entry = TypeVar("_Entry")
 
 
 def _since(
-    told: Mapping[str, tuple[tuple[int, _Told], ...]], oldest_ns: int
-) -> dict[str, tuple[tuple[int, _Told], ...]]:
+    entries: Mapping[str, tuple[tuple[int, _Entry], ...]], oldest_ns: int
+) -> dict[str, tuple[tuple[int, _Entry], ...]]:
     """Return the entries from a stamp on, without sensors that have none."""
-    kept = {name: tuple(each for each in mine if each[0] >= oldest_ns) for name, mine in told.items()}
+    kept = {name: tuple(each for each in mine if each[0] >= oldest_ns) for name, mine in entries.items()}
     return {name: mine for name, mine in kept.items() if mine}
 
 
 def _log_odds(
-    told: Sequence[tuple[int, tuple[OtherSize, ...]]], correlated_s: float
+    frames: Sequence[tuple[int, tuple[OtherSize, ...]]], correlated_s: float
 ) -> list[tuple[OtherSize, float]]:
-    """Return each size as the newest frame has it, and its log odds by all frames.
+    """Return each size with the step of the newest frame, and its log odds by all frames.
 
     Frames within ``correlated_s`` count as one, since their errors are alike: n frames over m such times
     count m / n each.
     """
-    span_s = (told[-1][0] - told[0][0]) * 1e-9
-    weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(told))
+    span_s = (frames[-1][0] - frames[0][0]) * 1e-9
+    weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(frames))
     found = []
-    for size in told[-1][1]:
-        logs = (each.log_odds for _, sizes in told for each in sizes if each.share == size.share)
+    for size in frames[-1][1]:
+        logs = (each.log_odds for _, sizes in frames for each in sizes if each.share == size.share)
         found.append((size, min(weight * sum(logs), size.most_log_odds)))
     return found
