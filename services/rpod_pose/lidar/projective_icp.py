@@ -37,7 +37,8 @@ from rpod_pose.lidar.scan_registration import (
     tracked,
 )
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
-from rpod_pose.ports import ErrorParts, Registration
+from rpod_pose.ports import Registration
+from rpod_pose.pose_evidence import ErrorParts
 from rpod_pose.registration.field_alignment import FieldProblem, Points
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.model_error import ModelError, Parts

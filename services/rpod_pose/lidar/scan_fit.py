@@ -40,7 +40,7 @@ from rpod_pose.lidar.scan_likelihood import (
 )
 from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
-from rpod_pose.ports import Misfit
+from rpod_pose.pose_evidence import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
 from rpod_pose.search.even_samples import steps_of

@@ -35,7 +35,7 @@ from rpod_pose.navigation.filter import (
 )
 from rpod_pose.navigation.filter.blocks import averaged
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
-from rpod_pose.ports import ErrorParts
+from rpod_pose.pose_evidence import ErrorParts
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix

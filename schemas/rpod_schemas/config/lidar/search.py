@@ -120,7 +120,10 @@ class ProjectiveIcpTuning(Tuning):
     """Distance above which a return is an outlier in the first step, as a share of the target's radius; never
     below that of the last step."""
     narrowest_sigmas: Annotated[
-        Positive, Provenance("paper", "2015 paper, Table 1: outliers of four times sigma_RANGE")
+        Positive,
+        Provenance(
+            "physics", "one in 16,000 normal errors is larger; with 3 and 5, 400 scans had the same errors"
+        ),
     ] = 4.0
     """Distance above which a return is an outlier in the last step, in standard deviations of a range."""
     steep_cosine: Annotated[float, Field(ge=0, le=1), BY_HAND] = 0.55

@@ -23,7 +23,7 @@ import numpy as np
 from rpod_pose.lidar.scan_alignment import FaceProblem
 from rpod_pose.lidar.scan_likelihood import HALF_BEAM_RAD, Assumptions
 from rpod_pose.lidar.scan_registration import Reach, ScanRegistration, outline_mean
-from rpod_pose.ports import OtherSize
+from rpod_pose.pose_evidence import OtherSize
 from rpod_pose.registration.lie_group import PoseArrays, step_between
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of

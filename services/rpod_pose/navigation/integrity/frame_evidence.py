@@ -17,7 +17,8 @@ import numpy as np
 from rpod_pose.navigation.filter import POSE, POSITION, FilterState
 from rpod_pose.navigation.integrity.levels import Solution
 from rpod_pose.navigation.integrity.residuals import Statistic
-from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
+from rpod_pose.ports import Registration
+from rpod_pose.pose_evidence import Misfit, OtherSize, PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rpod_pose.pmd.joint.alternatives import Aligned
 from rpod_pose.pmd.joint.edge_lines import Lines, jackknife
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem, Shares, cell_information
-from rpod_pose.ports import ErrorParts
+from rpod_pose.pose_evidence import ErrorParts
 from rpod_pose.registration.field_alignment import Points
 from rpod_pose.registration.model_error import ModelError, Parts
 from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of

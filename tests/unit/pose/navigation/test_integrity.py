@@ -29,7 +29,8 @@ from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import NavigatorState, Output
-from rpod_pose.ports import Misfit, OtherSize, PartSolution, Registration
+from rpod_pose.ports import Registration
+from rpod_pose.pose_evidence import Misfit, OtherSize, PartSolution
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig

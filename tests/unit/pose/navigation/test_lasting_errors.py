@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.navigation.filter import POSE, TWIST, FilterState, predict
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, shared_errors, started, updated
-from rpod_pose.ports import ErrorParts
+from rpod_pose.pose_evidence import ErrorParts
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
