@@ -70,8 +70,8 @@ class PoseMeasurement:
     origin: Origin | None = None
     """Where it comes from; None for a pose that no sensor has measured, as a given one."""
     alone: bool = False
-    """Whether its frame proves it without the prediction: where the gate refuses it, larger accelerations are
-    tried (``dynamics/manoeuvre``)."""
+    """Whether its frame proves without the prediction what it determines of the pose: where the gate refuses
+    it, larger accelerations are tried (``dynamics/manoeuvre``)."""
     since_s: float = inf
     """Time since the accepted frame of the same sensor before it, s: errors of near frames are alike."""
     lasting_s: float = 0.0
