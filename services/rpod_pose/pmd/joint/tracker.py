@@ -359,6 +359,7 @@ class JointTracker:
             alone,
             self._model_error.added(fit, problem, shares, alone),
             lines=line_sums(problem, fit.state, shares, self._lines),
+            weak=self._weak,
             bias_m=self._depth_errors.bias_m,
             radius_px=self._radius_px(seen),
             wider=max(1.0, self._fills(seen)),
