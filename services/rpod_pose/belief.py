@@ -74,6 +74,9 @@ class Belief:
     """Least weight at which the best pose is accepted. Its exact symmetries count as the pose itself."""
     insufficient: str = ""
     """Reason why the measurement alone cannot begin a track, although a running track may use it."""
+    undetermined: str = ""
+    """Part of the pose that the measurement alone leaves undetermined, as its covariance says: no track can
+    begin, but what the measurement determines is as certain as that of any other."""
 
     @property
     def ranked(self) -> bool:
@@ -83,7 +86,7 @@ class Belief:
     @property
     def begins_track(self) -> bool:
         """Whether a track may begin at the pose: no likely rival is left that a measurement could exclude."""
-        return self.continues_track and self._alone and not self.insufficient
+        return self.continues_track and self._alone and not (self.insufficient or self.undetermined)
 
     @property
     def _alone(self) -> bool:
@@ -93,7 +96,12 @@ class Belief:
     @property
     def refusal(self) -> str:
         """Reason why no track may begin at the pose."""
-        return (self._alone and self.insufficient) or self.reason
+        return (self._alone and (self.insufficient or self.undetermined)) or self.reason
+
+    @property
+    def is_proof(self) -> bool:
+        """Whether the measurement proves, without a prediction, what it determines of the pose."""
+        return self.level is BeliefLevel.ACCEPTED and not self.insufficient
 
     @property
     def continues_track(self) -> bool:

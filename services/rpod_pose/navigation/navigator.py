@@ -52,7 +52,7 @@ from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import BeliefLevel, Mode
+from rpod_schemas.types import Mode
 from rpod_target import NO_SYMMETRY, Equivalence, Joint
 
 
@@ -316,9 +316,9 @@ class Navigator:
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        accepted = registration.belief.level is BeliefLevel.ACCEPTED
-        proven = tracked and registration.begins_track and accepted
-        measured = replace(as_measured(registration, event, state.streams.get(event.sensor)), alone=proven)
+        alone = tracked and registration.belief.is_proof
+        proven = alone and registration.begins_track
+        measured = replace(as_measured(registration, event, state.streams.get(event.sensor)), alone=alone)
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
             if proven:

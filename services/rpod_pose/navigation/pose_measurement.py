@@ -70,8 +70,8 @@ class PoseMeasurement:
     origin: Origin | None = None
     """Where it comes from; None for a pose that no sensor has measured, for example a given one."""
     alone: bool = False
-    """Whether its frame alone, without the prediction, proves the pose. If the gate refuses such a pose,
-    larger accelerations are tried (``dynamics/manoeuvre``)."""
+    """Whether its frame alone, without the prediction, proves what it determines of the pose. If the gate
+    refuses such a pose, larger accelerations are tried (``dynamics/manoeuvre``)."""
     since_s: float = inf
     """Time since the previous accepted frame of the same sensor, s; frames near in time have similar
     errors."""

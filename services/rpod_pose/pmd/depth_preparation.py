@@ -331,7 +331,7 @@ def _determined(
     if not registration.begins_track:
         return registration
     open_motion = undetermined(covariance, max_sigma_m=max_sigma_m, max_sigma_deg=max_sigma_deg)
-    return replace(registration, belief=replace(registration.belief, insufficient=open_motion))
+    return replace(registration, belief=replace(registration.belief, undetermined=open_motion))
 
 
 def _cosines_of(camera: Camera) -> Float32Array | None:

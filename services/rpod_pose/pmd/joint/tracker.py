@@ -359,6 +359,7 @@ class JointTracker:
             alone,
             self._model_error.added(fit, problem, shares, alone),
             lines=line_sums(problem, fit.state, shares, self._lines),
+            weak=self._weak,
             bias_m=self._depth_errors.bias_m,
             radius_px=self._radius_px(seen),
             wider=max(1.0, self._fills(seen)),
@@ -381,9 +382,8 @@ class JointTracker:
         tuning = self._tuning
         reach = tuning.edges.final_search_px * float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
-        if found.checked < tuning.acceptance.min_edges:
-            return None
-        return found.found / max(found.expected, 1.0)
+        enough = found.checked >= tuning.acceptance.min_edges
+        return found.found / max(found.expected, 1.0) if enough else None
 
     def _radius_px(self, seen: JointFrame) -> float:
         """Return the target's radius in the image, px, at the median depth of its visible points."""

@@ -81,6 +81,7 @@ def uncertainty(
     whole: FloatArray,
     *,
     lines: Lines,
+    weak: FloatArray,
     bias_m: float,
     radius_px: float,
     wider: float,
@@ -99,6 +100,8 @@ def uncertainty(
         alone: I^-1, shape (7, 7).
         whole: I^-1 with the errors of the target's model, shape (7, 7).
         lines: normal equations of the lines of edges.
+        weak: information that stands for any pose of a target in view, which is in ``alone``, shape (7, 7).
+            Where a frame tells nothing, its error is that of this assumption, and none of the residuals.
         bias_m: standard deviation of the prior of the bias.
         radius_px: radius of the target in the image, px.
         wider: factor on all covariances, above 1 if the target is larger than the image. An image whose width
@@ -108,6 +111,7 @@ def uncertainty(
     fit, beside = aligned.fit, aligned.spread
     white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
     of_sensor[-1, -1] += bias_m**-2
+    white = white + weak
     moved = alone @ gradient_of(fit.evidence.shift, UNKNOWNS)
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
 

@@ -144,6 +144,20 @@ def test_a_fast_sensor_follows_a_target_whose_acceleration_jumps():
     assert np.mean(nees) < 6.0
 
 
+def test_frames_that_leave_one_axis_open_show_an_acceleration_about_the_others():
+    """A face that fills the image tells nothing of the turn about its normal, and the rest as well as ever."""
+    made, rng, open_rad = rig(pose=pushed(START_S)), np.random.default_rng(3), 1.8
+    told = "the attitude is undetermined"
+    for number in range(75):
+        time_s = START_S + number / 15.0
+        view = seen(pushed(time_s), time_s, rng, covariance=np.diag([1e-4] * 3 + [1e-5, 1e-5, open_rad**2]))
+        if number > 3:
+            belief = replace(view.tracked.belief, undetermined=told)
+            view = replace(view, tracked=replace(view.tracked, belief=belief))
+        output = made.see(view)
+        assert (output.status.accepted, output.status.mode) == (True, Mode.TRACKING), output.status.reason
+
+
 def test_a_pose_that_its_frame_does_not_prove_confirms_no_refused_one():
     made = tracking(until_s=START_S + 2.0)
     assert not made.see(turned(START_S + 2.1, 5.0)).status.accepted

@@ -336,6 +336,21 @@ def test_what_the_view_does_not_show_is_uncertain() -> None:
     assert roll > 2.0 * TRACKER.track(FRAME, TRUTH).covariance[5, 5]
 
 
+def test_what_a_face_that_fills_the_image_does_not_show_is_uncertain_in_the_parts_of_the_errors_too() -> None:
+    """A filter that carries lasting errors takes the parts, not their sum."""
+    close = make_pose(rotation=FACING, translation_m=(0.0, 0.0, HEXAGON.radius_m + 0.1))
+    found = JointTracker(JointConfig(), HEXAGON).track(ideal_frames(HEXAGON, close, ())[0], close)
+    parts = found.parts
+    assert parts is not None
+    together = parts.white + parts.of_sensor + parts.of_image + parts.of_model
+    for part, unknown in ((slice(0, 3), 0.5 * HEXAGON.radius_m), (slice(3, 6), np.radians(50.0))):
+        stated, told = (
+            np.sqrt(np.linalg.eigvalsh(each[part, part])[-1]) for each in (found.covariance, together)
+        )
+        assert stated > unknown
+        assert told == pytest.approx(stated, rel=0.1)
+
+
 @pytest.mark.parametrize("lens", [(), (-0.28, 0.1, 0.001, -0.001, 0.0), (0.4, 0.1, 0, 0, 0, 0.6, 0.2, 0.02)])
 @pytest.mark.parametrize("place_m", [(0.0, 0.0, 6.0), (2.9, 2.2, 6.0), (-5.0, 0.0, 10.0), (3.0, -0.5, 3.2)])
 def test_the_pixels_around_a_target_hold_all_that_it_fills(
