@@ -145,7 +145,7 @@ def test_a_fast_sensor_follows_a_target_whose_acceleration_jumps():
 
 
 def test_frames_that_leave_one_axis_open_show_an_acceleration_about_the_others():
-    """A face that fills the image tells nothing of the turn about its normal, and the rest as well as ever."""
+    """A face that fills the image tells nothing of the turn about its normal, but the rest as before."""
     made, rng, open_rad = rig(pose=pushed(START_S)), np.random.default_rng(3), 1.8
     told = "the attitude is undetermined"
     for number in range(75):
