@@ -293,7 +293,7 @@ def _upside_down(shown: PmdFrame) -> PmdFrame:
 def test_what_is_not_the_target_as_this_camera_sees_it_is_refused(
     spoil: Callable[[PmdFrame], PmdFrame],
 ) -> None:
-    assert "contradict" in TRACKER.track(spoil(FRAME), TRUTH).belief.reason
+    assert "inconsistent" in TRACKER.track(spoil(FRAME), TRUTH).belief.reason
 
 
 @pytest.mark.parametrize("material", ["silver-mli", "panel"])

@@ -391,7 +391,7 @@ def test_a_mirrored_frame_is_refused():
     mirrored = frame_of(frame.depth_m[:, ::-1], amplitude=frame.amplitude[:, ::-1])
     result = searching("mockup").acquire(mirrored)
     assert result.outcome is Outcome.FAILED
-    assert "contradict" in result.belief.reason or "explain" in result.belief.reason
+    assert "inconsistent" in result.belief.reason or "explain" in result.belief.reason
 
 
 @pytest.mark.parametrize("material", ["panel", "nose", "silver-mli"])
