@@ -20,7 +20,6 @@ from rpod import __version__
 from rpod_runtime import Node, Received
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.service import BusConfig, ServiceConfig
-from rpod_schemas.control import StatusReply
 from rpod_schemas.messages import read_status
 from rpod_schemas.topics import STATUS
 
@@ -102,7 +101,7 @@ def watch(facility: KeptFacility, *, seconds: float, rate_hz: float) -> Soak:
             round_trips += [(sent_s - begin_s, came_s - sent_s) for sent_s, came_s in echo.take()]
             wrong += _wrong_in_closed(facility.logs, checked)
             node.stop.wait(_SAMPLE_S)
-        statuses = node.ask_all("status", StatusReply, timeout_s=10.0)
+        statuses = node.ask_all(timeout_s=10.0)
     found = {status.name: status.counters for status in statuses}
     return Soak(
         processes={name: np.array(rows) for name, rows in samples.items()},

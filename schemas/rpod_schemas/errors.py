@@ -4,6 +4,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from rpod_schemas.texts import shown
+
 
 class RpodError(Exception):
     """Root of all errors of the project.
@@ -53,14 +55,20 @@ class Reason(StrEnum):
     OTHER_CAMERA = "other_camera"
     OTHER_SETUP = "other_setup"
     SECOND_PUBLISHER = "second_publisher"
+    SECOND_SOURCE = "second_source"
     FROZEN = "frozen"
     TOO_MANY = "too_many"
+    TOO_LONG = "too_long"
     OLD_ATTACHMENT = "old_attachment"
 
 
 class MessageRejectedError(SchemaError):
-    """Raised for a message that cannot be used, with the reason under which it is counted."""
+    """Raised for a message that cannot be used, with the reason under which it is counted.
+
+    The text may quote a name of the message, and stands in log lines and in each diagnostics message.
+    """
 
     def __init__(self, reason: Reason, text: str) -> None:
+        text = shown(text)
         self.reason, self.text = reason, text
         super().__init__(f"{reason}: {text}")

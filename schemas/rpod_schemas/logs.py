@@ -6,7 +6,7 @@ once: early, in case the process dies, and again at the close. The last one coun
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter
 
@@ -143,6 +143,14 @@ class Recovery(Config):
         return self.closed and not self.unreadable_bytes and not self.without_definition
 
 
+def _value(text: str) -> Any:
+    """Return a value of a record. Raises ``ValueError`` if the text is no JSON, or is nested without end."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("is nested too deeply") from error
+
+
 class _Record(Config):
     """Content of a metadata record, each field as JSON."""
 
@@ -172,7 +180,7 @@ class Completeness(_Record):
         """
         if not record:
             return cls(complete=False, reasons=("the file was not closed",))
-        return cls.model_validate({name: json.loads(text) for name, text in record.items()})
+        return cls.model_validate({name: _value(text) for name, text in record.items()})
 
     def with_reasons(self, reasons: tuple[str, ...]) -> Self:
         """Return the completeness with additional reasons."""
@@ -206,9 +214,7 @@ class BusRecord(_Record):
         Raises:
             ValueError: the record holds something else.
         """
-        return cls.model_validate(
-            {name: json.loads(record[name]) for name in cls.model_fields if name in record}
-        )
+        return cls.model_validate({name: _value(record[name]) for name in cls.model_fields if name in record})
 
 
 def shortfalls(counts: Mapping[str, TopicCount], messages: Mapping[str, int]) -> tuple[str, ...]:

@@ -10,6 +10,15 @@ def without_figures(text: str) -> str:
     return _FIGURE.sub("…", text)
 
 
+def shown(text: str, longest: int = 1000) -> str:
+    """Return a text of others for a log line or a terminal: one line, shortened, without control characters.
+
+    Otherwise anybody on the bus could write lines of his own into a log, or hide those of others.
+    """
+    short = text if len(text) <= longest else f"{text[:longest]}…"
+    return short if short.isprintable() else "".join(c if c.isprintable() else "�" for c in short)
+
+
 def is_count(text: str) -> bool:
     """Return whether a text is a count that a service may have: at most 20 digits, those of 64 bits."""
     return text.isdecimal() and len(text) <= 20

@@ -54,6 +54,15 @@ class AlreadyUpError(RunError):
         )
 
 
+class ForeignStateError(RunError):
+    """The state of a facility cannot be read by this user."""
+
+    def __init__(self, folder: Path, reason: str) -> None:
+        super().__init__(
+            f"{folder}: whether the facility is up cannot be read ({reason}); ask as the user who started it"
+        )
+
+
 def failed(verb: str, reason: Exception | str, code: int | None = None) -> int:
     """Print the reason on standard error; return the exit code.
 

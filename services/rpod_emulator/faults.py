@@ -27,6 +27,8 @@ from rpod_schemas.topics import Topic
 from rpod_sim_sensor.faults import Injection, Outgoing, injection, parts_of
 
 _ALWAYS_NS = 2**62
+_MOST_REQUESTED = 500
+"""Largest number of requested faults that are remembered, those that are over included."""
 _INJECTOR = {"link": "the proxy", "process": "the supervisor of a run", "disk": "the logger"}
 
 
@@ -105,6 +107,10 @@ class Faults:
         self._check(request, at_start=False)
         if now_ns < 0:
             raise RefusedError("no truth has come, from which the fault's time counts: start motion first")
+        if len(self._requested) >= _MOST_REQUESTED:
+            self._requested = [window for window in self._requested if window.end_ns > now_ns]
+        if len(self._requested) >= _MOST_REQUESTED:
+            raise RefusedError(f"{_MOST_REQUESTED} faults are planned or active already; wait for their end")
         start_ns = now_ns + round(request.start_s * NANOSECONDS)
         end_ns = start_ns + round(request.duration_s * NANOSECONDS)
         self._requested.append(Window(request.kind, request.sensor, start_ns, end_ns, request.amount))

@@ -20,7 +20,7 @@ from rpod_runtime.process.notify import manager
 from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import trigger
 from rpod_schemas.config.facility.logger import LoggerConfig
-from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest, StatusReply
+from rpod_schemas.control import Accepted, FaultRequest, LogReply, LogRequest
 from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import DIAGNOSTICS, Topic
@@ -145,7 +145,7 @@ class Services:
 
     def ask(self, timeout_s: float = 1.0) -> None:
         """Ask all services."""
-        statuses = self._node.ask_all("status", StatusReply, timeout_s=timeout_s)
+        statuses = self._node.ask_all(timeout_s=timeout_s)
         self._recorder.know(statuses)
         self._ends.confirm(statuses, now_s=time.monotonic())
 

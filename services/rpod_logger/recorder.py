@@ -3,7 +3,7 @@
 import errno
 import logging
 import time
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -23,6 +23,7 @@ from rpod_logger.errors import (
     LoggerError,
     NotRecordingError,
 )
+from rpod_logger.latched import LatchedMessages
 from rpod_logger.publisher_ends import Endings
 from rpod_logger.recording import Recording, Totals
 from rpod_logger.writer import WriterSettings, create_log, signing_key
@@ -43,8 +44,8 @@ _COMMAND_TIMEOUT_S = 30.0
 _IDLE_S = 0.05
 """Time for which the writer waits while few messages are queued."""
 _LOSSES_PERIOD_S = 5.0
-_MOST_LATCHED = 1000
-"""Largest number of latched messages that are kept for the beginning of the next file."""
+_MOST_SERVICES = 1000
+"""Largest number of services whose configuration is in a log."""
 _CLOCK_JUMP_S = 0.5
 """Smallest change between the two clocks that counts as a jump. A delay of the process between the readings
 of both clocks, or a slow correction of the clock, changes them by less."""
@@ -69,7 +70,7 @@ class Recorder:
         self._recording: Recording | None = None
         self._stem = config.name or f"rpod-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._failure: CannotWriteError | None = None
-        self._latched: OrderedDict[tuple[str, bytes], Received] = OrderedDict()
+        self._latched = LatchedMessages()
         self._written: Counter[str] = Counter()
         """Number of messages of the current batch, by topic."""
         self._services: dict[str, StatusReply] = {}
@@ -212,17 +213,10 @@ class Recorder:
             self._health.count(f"lost/{received.topic.name}")
 
     def _keep(self, received: Received) -> None:
-        """Keep a latched message for the next files, of a bounded number of publishers."""
-        publication = received.key, received.attachment.gid
-        self._latched[publication] = received
-        self._latched.move_to_end(publication)
-        if len(self._latched) > _MOST_LATCHED:
-            self._latched.popitem(last=False)
-            if not self._health.counters().get("latched/forgotten"):
-                log.warning(
-                    "more than %d latched messages: the next file begins without the rest", _MOST_LATCHED
-                )
-            self._health.count("latched/forgotten")
+        """Keep a latched message for the next files."""
+        self._latched.keep(received)
+        if self._latched.forgotten:
+            self._health.put("latched/forgotten", self._latched.forgotten)
 
     def _count_written(self) -> None:
         """Add the batch to the counters: once for the whole batch, because each addition takes a lock."""
@@ -261,7 +255,9 @@ class Recorder:
             self._attempt(lambda recording: recording.note_clock_jump(jump_s))
 
     def _know(self, statuses: list[StatusReply]) -> None:
-        self._services |= {status.name: status for status in statuses}
+        for status in statuses:
+            if status.name in self._services or len(self._services) < _MOST_SERVICES:
+                self._services[status.name] = status
         self._attempt(lambda recording: recording.describe(self._services, self._version))
 
     # --- files ---
@@ -297,7 +293,7 @@ class Recorder:
             self._endings(time.time_ns())  # publishers that ended before do not concern this file
         recording = self._recording = Recording(file, self._totals(received), continues=continues)
         self._attempt(lambda recording: recording.describe(self._services, self._version))
-        self._attempt(lambda recording: recording.repeat(self._latched.values()))
+        self._attempt(lambda recording: recording.repeat(self._latched))
         if self._failure:
             raise self._failure
         log.info("recording to %s", file.path)

@@ -32,8 +32,9 @@ from rpod_schemas.rmw.wire import UNNUMBERED
 from rpod_schemas.topics import Namespace
 
 _NOTHING = Endings()
-_MOST_PUBLISHERS = 10_000
-"""Largest number of publishers that a file lists."""
+_MOST_RUNS = 10_000
+"""Largest number of runs of sequence numbers that a file lists: a publisher has one, and one more after each
+jump."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,10 @@ class Recording:
         """Time at which the file was opened, ns of UTC."""
         self._continues = continues
         self._runs: dict[Publication, list[_Run]] = {}
+        self._run_count = 0
         self._repeated: Counter[str] = Counter()
         self._unlisted: Counter[str] = Counter()
-        """Number of messages of publishers that are not listed, because there are too many, by topic."""
+        """Number of messages of runs that are not listed, because there are too many, by topic."""
         self._clock_jumps_s: list[float] = []
 
     @property
@@ -108,13 +110,15 @@ class Recording:
         """Append a message."""
         self.file.write(received)
         publication, sequence = (received.key, received.attachment.gid), received.attachment.sequence
-        if publication not in self._runs and len(self._runs) >= _MOST_PUBLISHERS:
-            self._unlisted[received.topic.name] += 1
-            return
-        runs = self._runs.setdefault(publication, [])
+        runs = self._runs.get(publication, [])
         if not runs or not runs[-1].continues_with(sequence):
+            if self._run_count >= _MOST_RUNS:
+                self._unlisted[received.topic.name] += 1
+                return
+            self._run_count += 1
             numbered = received.attachment is not UNNUMBERED
             runs.append(_Run(received.topic.name, first=sequence, numbered=numbered))
+            self._runs[publication] = runs
         run = runs[-1]
         run.last = sequence
         run.messages += 1
@@ -186,7 +190,7 @@ class Recording:
         counts = {channel_topic(keys, name): count for name, count in self.counts(totals).items()}
         written = {topic: count.written + count.repeated for topic, count in counts.items()}
         if self._unlisted:
-            reasons += (f"more than {_MOST_PUBLISHERS:,} publishers: not all of them are listed",)
+            reasons += (f"more than {_MOST_RUNS:,} publishers, or jumps of them: not all are listed",)
         reasons += endings.reasons + shortfalls(counts, written)
         completeness = Completeness(
             complete=not reasons,

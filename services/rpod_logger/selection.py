@@ -1,13 +1,16 @@
 """Selection of what is recorded: topics of the ICD and of installed sensor kinds, and configured keys."""
 
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 
 import zenoh
 
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.sensors import sensor_kinds
 from rpod_schemas.topics import ESTIMATES, TOPICS, Namespace, Topic
+
+_REMEMBERED = 4096
+"""Number of keys whose expression is remembered; anybody may publish on keys without end."""
 
 
 def patterns() -> list[Topic]:
@@ -34,7 +37,7 @@ class Extras:
         own = [_expression(keys.selector(pattern)) for pattern in patterns()]
         self._all = own + [_expression(text) for text in expressions]
         self._offset = len(own)
-        self._first = cache(self._find_first)
+        self._first = lru_cache(_REMEMBERED)(self._find_first)
 
     def owns(self, index: int, key: str) -> bool:
         """Return whether a key belongs to the expression with this index."""

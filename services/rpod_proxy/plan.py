@@ -9,6 +9,9 @@ from rpod_schemas.control import FaultRequest
 from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.messages import NANOSECONDS
 
+_MOST_FAULTS = 500
+"""Largest number of faults that wait or are active: a request is remembered until its fault is over."""
+
 
 @dataclass
 class Plan:
@@ -31,6 +34,8 @@ class Plan:
         end_ns = begin_ns + round(request.duration_s * NANOSECONDS)
         with self._lock:
             self._faults = [fault for fault in self._faults if fault.end_ns is None or fault.end_ns > now_ns]
+            if len(self._faults) >= _MOST_FAULTS:
+                raise RefusedError(f"{_MOST_FAULTS} faults are planned or active already; wait for their end")
             self._faults.append(
                 InjectedFault(
                     request.fault, request.where, begin_ns, end_ns, request.kind.amount(request.size)

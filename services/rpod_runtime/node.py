@@ -20,8 +20,9 @@ from pydantic import BaseModel
 
 from rpod_runtime.bus.link import Link
 from rpod_runtime.bus.session import open_client
+from rpod_runtime.bus.tokens import LONGEST_TOKEN, PublisherTokens, Tell
 from rpod_runtime.clock import BusClock, Clock, WallClock
-from rpod_runtime.delivery.accounting import SequenceAccount
+from rpod_runtime.delivery.accounting import MOST_KEYS, SequenceAccount
 from rpod_runtime.delivery.inbox import Received
 from rpod_runtime.delivery.publisher import Publisher
 from rpod_runtime.delivery.receiving import Delivery
@@ -176,43 +177,41 @@ class Node(Asker):
         """Subscribe to all topics that match one of the patterns (``*`` stands for a part of the name).
 
         A liveliness token has no wildcards, so a token is declared for each topic when its first publisher
-        appears. Without it newer rmw_zenoh publishers of images and point clouds send nothing.
+        appears, of 1,000 topics at most, as messages are received. Without it newer rmw_zenoh publishers of
+        images and point clouds send nothing.
         """
         for pattern in patterns:
             self._subscribe(pattern, sink, recover=recover, history=recover)
         shown: set[Topic] = set()
 
         def show(token: str, _: bool) -> None:
-            topic = topic_of_token(token, self._keys)
-            if topic in shown or topic is None or not any(pattern.covers(topic) for pattern in patterns):
+            topic = topic_of_token(token, self._keys) if len(token) <= LONGEST_TOKEN else None
+            if topic is None or topic in shown or len(shown) >= MOST_KEYS:
+                return
+            if not any(pattern.covers(topic) for pattern in patterns):
                 return
             shown.add(topic)
             self._token(self._graph.endpoint_token("MS", self._entity(), topic))
 
         self.watch_tokens(publisher_tokens(self._keys), show)
 
-    def watch_publishers(
-        self, gone: Callable[[str, Topic], None], came: Callable[[str, Topic], None] | None = None
-    ) -> None:
-        """Call ``gone`` with session and topic when a publisher's token vanishes, ``came`` when one comes."""
+    def watch_publishers(self, gone: Tell, came: Tell) -> None:
+        """Call ``came`` with session and topic for each publisher's token, ``gone`` when its last is gone.
 
-        def take(token: str, is_there: bool) -> None:
-            topic = topic_of_token(token, self._keys)
-            tell = came if is_there else gone
-            if tell is not None and topic is not None:
-                tell(session_of_token(token), topic)
+        ``came`` is called at once for those that are there.
+        """
+        tokens = PublisherTokens(self._keys, came=came, gone=gone)
+        self.watch_tokens(publisher_tokens(self._keys), tokens.take)
 
-        self.watch_tokens(publisher_tokens(self._keys), take, history=came is not None)
-
-    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None], *, history: bool = True) -> None:
+    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
         """Call ``take`` in the bus's thread with each liveliness token and whether it comes or vanishes.
 
-        With ``history`` it is called at once for the tokens that are there.
+        It is called at once for the tokens that are there.
         """
         watcher = self._session.liveliness().declare_subscriber(
             pattern,
             lambda sample: take(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
-            history=history,
+            history=True,
         )
         self._stack.callback(watcher.undeclare)
 

@@ -31,7 +31,10 @@ class AuditRecord:
     def __init__(self, file: Path, instance: str) -> None:
         self._file, self._instance = file, instance
         self._lock = Lock()
-        self._last = _digest(_last_line(file))
+        last = _last_line(file)
+        self._last = _digest(last.removesuffix(b"\n"))
+        self._cut = bool(last) and not last.endswith(b"\n")
+        """Whether the file ends within a line, as after a power failure. The next line is one of its own."""
 
     def add(self, *, role: str, verb: str, request: str, outcome: str) -> None:
         """Append one line and sync it to the disk. Raises ``AuditError``."""
@@ -49,10 +52,10 @@ class AuditRecord:
             ).encode()
             try:
                 with FileIO(self._file, "a", opener=partial(os.open, mode=0o600)) as stream:
-                    append_line(stream, line)
+                    append_line(stream, b"\n" * self._cut + line)
             except OSError as error:
                 raise AuditError(f"{self._file} cannot be written ({error.strerror})") from error
-            self._last = _digest(line)
+            self._last, self._cut = _digest(line), False
 
 
 def check(file: Path) -> int:
@@ -67,7 +70,7 @@ def check(file: Path) -> int:
         for number, line in enumerate(stream, 1):
             try:
                 stated = json.loads(line)["before"]
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 raise AuditError(f"{file}: line {number} is damaged") from error
             if stated != before:
                 raise AuditError(f"{file}: line {number} does not follow the line before; one was changed")
@@ -83,7 +86,7 @@ def _last_line(file: Path) -> bytes:
     try:
         with file.open("rb") as stream:
             stream.seek(max(0, file.stat().st_size - _TAIL_BYTES))
-            lines = stream.read().splitlines()
+            lines = stream.read().splitlines(keepends=True)
     except FileNotFoundError:
         return b""
     except OSError as error:

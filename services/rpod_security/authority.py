@@ -134,21 +134,32 @@ class Authority:
         return self._sign(self._new(role, name, hosts), validity, tuple(hosts))
 
     def certify(
-        self, request: bytes, *, validity: timedelta = timedelta(days=ROLE_DAYS), hosts: Sequence[str] = ()
+        self,
+        request: bytes,
+        *,
+        validity: timedelta = timedelta(days=ROLE_DAYS),
+        hosts: Sequence[str] = (),
+        renews: bool = False,
     ) -> Path:
         """Issue a certificate for a key that never leaves its host; return the folder to be sent there.
 
-        A request of a name that is in use renews its certificate, if the role is the same.
+        A request shows only that its sender has the new key, not who the sender is. So it gets a name that is
+        in use, with the same role, only where it ``renews`` by the word of the operator.
 
         Raises:
             AuthorityError: the request cannot be used, or its role or name, as for ``issue``.
         """
         try:
             name, role, key = read_request(request)
-        except ValueError as error:
+        except (ValueError, UnsupportedAlgorithm) as error:
             raise AuthorityError(f"the request cannot be used: {error}") from error
         before = self._entries.get(name)
         if before and before.revoked is None and before.role == role:
+            if not renews:
+                raise AuthorityError(
+                    f"name {name!r} is in use by a {role}: whoever sent this request would be taken for it; "
+                    "if the request is a renewal from its host, repeat with --renew"
+                )
             identity, hosts = before.identity, before.hosts
         else:
             identity = self._new(role, name, hosts)

@@ -52,16 +52,16 @@ class Signatory:
         try:
             self._certificate = x509.load_pem_x509_certificate(certificate_pem.encode())
             self.identity = Identity.of(self._certificate)
-        except ValueError as error:
+            self._key = self._certificate.public_key()
+        except (ValueError, UnsupportedAlgorithm) as error:
             raise ChainError(file, f"names no certificate of a role ({error})") from error
 
     def signed(self, text: bytes, signature: str) -> bool:
         """Return whether a signature is of this certificate's key."""
-        key = self._certificate.public_key()
-        if not isinstance(key, ec.EllipticCurvePublicKey):
+        if not isinstance(self._key, ec.EllipticCurvePublicKey):
             return False
         try:
-            key.verify(base64.b64decode(signature, validate=True), text, ec.ECDSA(hashes.SHA256()))
+            self._key.verify(base64.b64decode(signature, validate=True), text, ec.ECDSA(hashes.SHA256()))
         except (InvalidSignature, ValueError):
             return False
         return True
@@ -85,7 +85,7 @@ class Signatory:
             ) from error
         try:
             self._certificate.verify_directly_issued_by(issuer)
-        except (ValueError, TypeError, InvalidSignature):
+        except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
             return f"the certificate of {self.identity.name} is not of this authority"
         if self.identity.role != LOGGER:
             return f"the certificate is of a {self.identity.role}, not of a {LOGGER}"

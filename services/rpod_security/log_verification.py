@@ -76,7 +76,11 @@ def verify(log: Path, *, authority: Path | None = None) -> Verification:
         ChainError: the log has no chain, or it cannot be read.
         OSError: the log cannot be read.
     """
-    return _Check.begin(log, authority).run()
+    check = _Check.begin(log, authority)
+    try:
+        return check.run()
+    except (ValueError, OverflowError) as error:  # a name that is none, or a time that no calendar has
+        raise ChainError(chain_of(log), f"is damaged ({error})") from error
 
 
 class _Check:

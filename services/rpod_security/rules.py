@@ -248,7 +248,7 @@ def load_access_control(file: Path) -> dict[str, Any]:
         document = json.loads(file.read_text("utf-8"))
     except OSError as error:
         raise RulesError(file, f"cannot be read ({error.strerror}); make it with 'rpod pki rules'") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RulesError(file, "is no JSON; make it with 'rpod pki rules'") from error
     if (
         not isinstance(document, dict)

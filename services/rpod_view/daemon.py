@@ -11,7 +11,6 @@ from threading import Event
 from rpod_runtime import Inbox, Node
 from rpod_runtime.process.notify import manager
 from rpod_schemas.config.facility.view import ViewConfig
-from rpod_schemas.control import StatusReply
 from rpod_schemas.topics import TF, TRUTH
 from rpod_target import Target, TargetError, load_target
 from rpod_view.scene import pose_topics, sensor_topics
@@ -56,8 +55,8 @@ def _target(node: Node, name: str | None) -> Target | None:
     """
     if name is not None:
         return load_target(name)
-    targets = (reply.configuration.get("target") for reply in node.ask_all("status", StatusReply))
-    found = next(filter(None, targets), None)
+    targets = (reply.configuration.get("target") for reply in node.ask_all())
+    found = next((target for target in targets if target and isinstance(target, str)), None)
     try:
         return load_target(found) if found else None
     except TargetError as error:

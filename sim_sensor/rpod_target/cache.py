@@ -44,7 +44,7 @@ def read(file: Path) -> dict[str, Array] | None:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = dict(stored.items())
         built = arrays.pop(DIGEST)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error):
         return None
     if str(built) != _digest(arrays):
         text = f"{file} was changed after it was built; the target is built again"

@@ -188,6 +188,8 @@ def _read(name_or_path: str | Path) -> tuple[Path, TargetParameters, dict[str, b
 def _parameter_file(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if path.suffix or len(path.parts) > 1:
+        if path.exists() and not path.is_file():  # a log may name a device or a pipe, which has no end
+            raise TargetError(path, "", "is no file; give the path of a target's YAML file")
         return path
     if str(name_or_path) not in shipped_targets():
         reason = f"is unknown; known are {', '.join(shipped_targets())}, or the path of a file"

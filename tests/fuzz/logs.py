@@ -3,7 +3,8 @@
 import json
 import struct
 from collections.abc import Callable, Iterator
-from io import BytesIO
+from contextlib import redirect_stderr, redirect_stdout
+from io import BytesIO, StringIO
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -14,11 +15,9 @@ from fuzz.seeds import logs
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from rpod.logs.report import report_command
 from rpod_analysis import AnalysisError
-from rpod_analysis.log import open_log
 from rpod_analysis.recovery import recover
-from rpod_analysis.report.content import gather_content
-from rpod_analysis.scoring.run import stream_run
 
 _MAGIC = 8
 _HEADER = struct.Struct("<BQ")
@@ -105,6 +104,8 @@ def _text(rnd: Random, text: str) -> str:
     """Return the text of a metadata record, mostly as it is, else another one or with hostile JSON in it."""
     if rnd.randrange(6):
         return text
+    if rnd.randrange(8) == 0:
+        return rnd.choice(("[" * 100_000, '{"target": "\\ud800", "prefix": "estimate", "sensors": []}'))
     try:
         document: Any = json.loads(text)
     except ValueError:
@@ -113,11 +114,17 @@ def _text(rnd: Random, text: str) -> str:
 
 
 def _report(data: bytes) -> bool:
-    def read(path: Path) -> None:
-        with open_log(path) as log:
-            gather_content(log, stream_run(log), name="")
-
-    return _read(data, read)
+    """Run ``rpod report`` on a log, tables, page and printed summary included; return whether it succeeds."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        path.write_bytes(data)
+        out, errors = StringIO(), StringIO()
+        with redirect_stdout(out), redirect_stderr(errors):
+            code = report_command([path], out=None, as_json=False)
+        told = errors.getvalue()
+        assert (code == 0) == (not told), f"exit code {code} with {told!r}"
+        assert told.count("\n") <= 1, "more than one line"
+        return code == 0
 
 
 def _recover(data: bytes) -> bool:

@@ -54,6 +54,7 @@ def fuzz_facility(budget_s: float, seed: int) -> Counter[str]:
                 statuses = Inbox()
                 node.subscribe(STATUS, statuses.put)
                 assert first(statuses, _tracks, 60.0), "not tracked before anything hostile was sent"
+                before_mib = _memory_mib(run)
                 sent = _Hostile(bus, rnd).send(budget_s)
                 ended_s = time.monotonic()
                 statuses.wait(0.0)
@@ -64,6 +65,10 @@ def fuzz_facility(budget_s: float, seed: int) -> Counter[str]:
             for name, process in run.services.items():
                 if not process.is_running():
                     found[f"over the bus: {name} has ended"] += 1
+            for name, mib in _memory_mib(run).items():
+                print(
+                    f"over the bus: memory of {name} {before_mib.get(name, 0.0):.0f} MiB, then {mib:.0f} MiB"
+                )
             run.send(signal.SIGINT)
             if run.wait() != 130 or run.left():
                 found["over the bus: the run does not end in order"] += 1
@@ -73,6 +78,15 @@ def fuzz_facility(budget_s: float, seed: int) -> Counter[str]:
                     "utf-8", "replace"
                 )
     return +found
+
+
+def _memory_mib(run: FacilityProcess) -> dict[str, float]:
+    """Return the resident memory of each service that runs, MiB."""
+    return {
+        name: process.memory_info().rss / 2**20
+        for name, process in run.services.items()
+        if process.is_running()
+    }
 
 
 def _tracks(received: Received) -> bool:

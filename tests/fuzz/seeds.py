@@ -8,17 +8,27 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from malformed_logs import INFO, write_good
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 from synthetic_log import SyntheticRun
 
-from rpod_schemas.messages import write_joints, write_lidar_info, write_validity
+from rpod_schemas.messages import (
+    write_imu,
+    write_integrity,
+    write_joints,
+    write_lidar_info,
+    write_validity,
+)
 from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
+    CHASER,
     DEPTH,
     DIAGNOSTICS,
     ESTIMATE,
     ESTIMATE_POSE,
+    IMU,
+    INTEGRITY,
     LIDAR_INFO,
     PMD_INFO,
     POINTS,
@@ -32,12 +42,19 @@ from rpod_schemas.topics import (
     VALIDITY,
     Topic,
 )
-from rpod_schemas.types import EstimateValidity, Joints, LidarInfo
+from rpod_schemas.types import (
+    EstimateValidity,
+    ImuReading,
+    Integrity,
+    IntegrityState,
+    Joints,
+    LidarInfo,
+)
 
 TOPICS = (
     TRUTH_JOINTS, VALIDITY, LIDAR_INFO.of("lidar"), TF, SUN, REFERENCE, TRUTH, TF_STATIC, PMD_INFO.of("pmd"),
     CAMERA_INFO.of("pmd"), DEPTH.of("pmd"), AMPLITUDE.of("pmd"), DIAGNOSTICS, ESTIMATE, ESTIMATE_POSE, STATUS,
-    POINTS.of("lidar"),
+    POINTS.of("lidar"), IMU, INTEGRITY,
 )  # fmt: skip
 """Topics whose messages are made hostile."""
 
@@ -61,6 +78,27 @@ def messages() -> dict[Topic, bytes]:
         TRUTH_JOINTS: write_joints(Joints(stamp_ns=1, angle_rad={"arm": 0.1}, rate_rad_s={"arm": 0.0})),
         VALIDITY: write_validity(
             EstimateValidity(stamp_ns=1, frame_id="chaser", valid=True, age_s=0.1, reason="")
+        ),
+        IMU: write_imu(
+            ImuReading(
+                stamp_ns=1,
+                frame_id=CHASER,
+                rate_rad_s=np.zeros(3),
+                rate_variance=1e-6,
+                force_m_s2=np.ones(3),
+                R_orbit_chaser=Rotation.identity(),
+            )
+        ),
+        INTEGRITY: write_integrity(
+            Integrity(
+                stamp_ns=1,
+                frame_id=CHASER,
+                state=IntegrityState.NOMINAL,
+                risk=1e-4,
+                attitude_level_deg=1.0,
+                position_level_m=0.1,
+                evidence={"a": 1.0},
+            )
         ),
         LIDAR_INFO.of("lidar"): write_lidar_info(
             1,

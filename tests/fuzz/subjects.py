@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 import yaml
+from fuzz import pictures
+from fuzz.calls import call_subjects
 from fuzz.logs import log_subjects
 from fuzz.mutation import json_of, mutate_bytes, mutate_document, mutate_message
+from fuzz.records import record_subjects
 from fuzz.seeds import TOPICS, messages
 from pydantic import BaseModel, ValidationError
 
@@ -30,12 +33,15 @@ from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.config.service import RouterConfig
 from rpod_schemas.errors import ConfigurationError, MessageRejectedError
+from rpod_schemas.faults.injected import read_faults
 from rpod_schemas.messages import (
     read_amplitude,
     read_camera,
     read_depth,
     read_diagnostics,
     read_image,
+    read_imu,
+    read_integrity,
     read_joints,
     read_lidar_info,
     read_odometry,
@@ -63,6 +69,8 @@ READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {
     "sensor_msgs/msg/CameraInfo": (read_camera,),
     "sensor_msgs/msg/PointCloud2": (read_points,),
     "sensor_msgs/msg/JointState": (read_joints,),
+    "sensor_msgs/msg/Imu": (read_imu,),
+    "rpod_msgs/msg/Integrity": (read_integrity,),
     "rpod_msgs/msg/PmdInfo": (read_pmd_info,),
     "rpod_msgs/msg/LidarInfo": (read_lidar_info,),
     "rpod_msgs/msg/EstimatorStatus": (read_status,),
@@ -70,7 +78,7 @@ READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {
     "tf2_msgs/msg/TFMessage": (read_transforms,),
     "nav_msgs/msg/Odometry": (read_odometry,),
     "geometry_msgs/msg/Vector3Stamped": (read_vector_stamped,),
-    "diagnostic_msgs/msg/DiagnosticArray": (read_diagnostics,),
+    "diagnostic_msgs/msg/DiagnosticArray": (read_diagnostics, read_faults),
 }
 REQUESTS = (
     control.ResetRequest,
@@ -115,8 +123,8 @@ class Subject:
 @cache
 def subjects() -> dict[str, Subject]:
     """Return all subjects by name."""
-    of_logs = (Subject(*each) for each in log_subjects())
-    found = (*_messages(), *_wire(), *_requests(), *_configurations(), *of_logs)
+    others = (Subject(*each) for each in (*call_subjects(), *record_subjects(), *log_subjects()))
+    found = (*_messages(), *_wire(), *_requests(), *_configurations(), *others)
     return {subject.name: subject for subject in found}
 
 
@@ -128,6 +136,7 @@ def _messages() -> Iterator[Subject]:
             partial(_make_message, topic),
             partial(_read_message, topic.type, readers),
         )
+    yield Subject(pictures.NAME, pictures.make, pictures.read)
     yield Subject("frames", _make_frames, _read_frames)
     yield Subject("heartbeats", _make_heartbeat, _read_heartbeat)
 

@@ -5,7 +5,7 @@ import secrets
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -23,8 +23,8 @@ from rpod_schemas.control import LogReply, StatusReply
 from rpod_schemas.logs import BUS
 from rpod_schemas.messages import write_clock
 from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.rmw.wire import Attachment, GraphNode
-from rpod_schemas.topics import CLOCK
+from rpod_schemas.rmw.wire import Attachment, GraphNode, publisher_tokens, session_of_token
+from rpod_schemas.topics import CLOCK, DIAGNOSTICS
 
 
 class Scene:
@@ -116,6 +116,24 @@ def test_only_the_file_in_which_a_publisher_was_killed_is_incomplete(scene):
     stated = [completeness(path) for path in (scene.path, second, third)]
     assert [each.complete for each in stated] == [True, False, True]
     assert [each.continues for each in stated] == [None, "run.mcap", "run_0002.mcap"]
+
+
+def test_a_token_that_somebody_declares_in_a_publishers_name_hides_no_kill(scene):
+    keys = scene.config.keys
+    with closing(open_client(scene.config)) as liar:
+        pattern = publisher_tokens(keys, CLOCK)
+        (reply,) = until(lambda: list(liar.liveliness().get(pattern)))
+        victim = session_of_token(str(reply.ok.key_expr))
+        for entity in range(90, 93):
+            token = GraphNode(keys, victim, "liar").endpoint_token("MP", entity, DIAGNOSTICS)
+            liar.liveliness().declare_token(token).undeclare()
+        scene.asker.stop.wait(1.5)
+        second = scene.asker.ask("logger", "split", LogReply).path
+        scene.publisher.end(signal.SIGKILL)
+        scene.close_log()
+    assert completeness(scene.path).reasons == ()
+    (reason,) = completeness(second).reasons
+    assert "without saying its last numbers" in reason
 
 
 def test_a_router_that_was_killed_makes_the_log_incomplete(scene_of_its_own, router, caplog):

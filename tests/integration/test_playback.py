@@ -176,3 +176,11 @@ def test_an_estimator_cannot_tell_it_from_its_sensors(bus, run, tmp_path, clock)
                 break
     assert estimates == ours
     assert len(statuses) == 6
+
+
+def test_a_topic_whose_name_no_key_can_have_is_left_out_and_told(bus, tmp_path):
+    path = SyntheticRun(name="a#b").write(tmp_path / "run.mcap")
+    with open_log(path) as log:
+        played = play(log, bus.node("replay"), Playback(end_s=0.1), stop=Event())
+    assert {name.split("/")[0] for name in played.left_out} == {"a#b"}
+    assert played.messages[TRUTH.name] > 0

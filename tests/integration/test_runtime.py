@@ -3,11 +3,13 @@
 import logging
 import threading
 import time
+from contextlib import ExitStack
 from threading import Event
 
 import numpy as np
 import pytest
 import zenoh
+from facility_process import until
 from live_bus import TIMEOUT_S, collect, first
 
 from rpod_runtime import Inbox, Node
@@ -21,7 +23,7 @@ from rpod_schemas.messages import (
 )
 from rpod_schemas.poses import make_pose
 from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.rmw.wire import Attachment, topic_of_token
+from rpod_schemas.rmw.wire import Attachment, GraphNode, token_pattern, topic_of_token
 from rpod_schemas.topics import CLOCK, COMMAND, DIAGNOSTICS, SMALL_CACHE, SUN, TRUTH, Namespace, Topic
 from rpod_schemas.types import Health, Odometry
 
@@ -190,6 +192,48 @@ def test_a_forged_number_far_ahead_does_not_silence_its_publisher_and_is_told(bu
     assert told_of.level == Health.WARN
     assert receiver.status().counters["rejected/test/stream/sequence_jump"] == 2
     assert receiver.status().counters["missed/test/stream"] == 0
+
+
+def test_a_forged_message_under_a_publishers_gid_silences_nobody_and_is_told(bus, bare):
+    inbox, diagnostics, receiver = Inbox(), Inbox(), bus.node("receiver")
+    bus.node("watcher").subscribe(DIAGNOSTICS, diagnostics.put, recover=True)
+    receiver.subscribe(STREAM, inbox.put, recover=True)
+    publisher = bus.node("sender").publisher(STREAM)
+    heard_from_the_first(publisher, inbox)
+    publisher.publish(vector(1))
+    (genuine,) = collect(inbox, 1)
+    gid = genuine.attachment.gid
+    forged = Attachment(genuine.attachment.sequence + 900, 0, gid).pack()
+    bare.put(KEYS.key(STREAM), encode(vector(9)), attachment=forged)
+    until(lambda: receiver.status().counters.get("rejected/test/stream/second_source"))
+    for number in range(2, 7):
+        publisher.publish(vector(number))
+    assert numbers(collect(inbox, 5)) == [2, 3, 4, 5, 6]
+    assert receiver.status().counters["missed/test/stream"] == 0
+    name = "second_source/test/stream"
+
+    def told(received):
+        return [item for item in read_diagnostics(received.decode()) if name in item.values]
+
+    (told_of,) = first(diagnostics, told)
+    assert f"gid {gid.hex()} (session {genuine.session}) is used by a second session" in told_of.values[name]
+    assert told_of.level == Health.WARN
+
+
+def test_topics_without_end_get_no_tokens_without_end(bus, bare, monkeypatch):
+    monkeypatch.setattr("rpod_runtime.node.MOST_KEYS", 3)
+    receiver = bus.node("receiver", namespace="shown")
+    keys = Namespace(0, "shown")
+    receiver.subscribe_all([STREAM.under("*")], lambda _: None)
+    graph = GraphNode(keys, str(bare.zid()), "liar")
+    with ExitStack() as stack:
+        for number in range(6):
+            token = graph.endpoint_token("MP", number, STREAM.under(f"t{number}"))
+            stack.callback(bare.liveliness().declare_token(token).undeclare)
+        shown = token_pattern(keys, "MS", "receiver", STREAM.under("*"))
+        until(lambda: len(list(bare.liveliness().get(shown))) >= 3)
+        bus.node("later", namespace="shown")  # what was declared before is known now
+        assert len(list(bare.liveliness().get(shown))) == 3
 
 
 def test_a_publisher_that_begins_at_0_is_heard_from_its_first_message(bus, bare):

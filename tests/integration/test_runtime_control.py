@@ -93,7 +93,7 @@ def test_every_service_can_be_asked_at_once(bus):
         bus.node(instance)
     asker = bus.node("asker")
     everyone = {"one", "two", "three", "asker"}
-    until(lambda: everyone == {status.name for status in asker.ask_all("status", StatusReply)})
+    until(lambda: everyone == {status.name for status in asker.ask_all()})
 
 
 def test_who_answers_all_answers_on_its_own_key(bus):
@@ -101,6 +101,39 @@ def test_who_answers_all_answers_on_its_own_key(bus):
     with open_client(bus.config) as session:
         replies = answers(session, KEYS.control("*", "status"))
         assert [str(reply.ok.key_expr) for reply in replies if reply.ok] == [KEYS.control("one", "status")]
+
+
+def test_an_answer_that_names_another_service_does_not_count(bus):
+    """On a secure bus a member may answer on its own key alone, but write there what it likes."""
+    bus.node("one")
+    forged = StatusReply(
+        name="one", version="forged", state="ready", uptime_s=1.0, counters={}, configuration={}
+    )
+    asked = Event()
+
+    def lie(query: zenoh.Query) -> None:
+        with query:
+            query.reply(KEYS.control("liar", "status"), forged.model_dump_json())
+            asked.set()
+
+    with open_client(bus.config) as session:
+        served = session.declare_queryable(KEYS.control("liar", "status"), lie)
+        asker = bus.node("asker")
+        until(lambda: asker.ask_all() and asked.is_set())
+        statuses = until(lambda: {each.name: each.version for each in asker.ask_all() if each.name == "one"})
+        served.undeclare()
+    assert statuses == {"one": "test"}
+
+
+def test_a_request_that_is_too_long_is_refused_before_it_is_read(bus):
+    server = bus.node("server")
+    server.serve("reset", ResetRequest, lambda _: Accepted())
+    payload = json.dumps({"frame_id": "x" * 70_000}).encode()
+    with open_client(bus.config) as session:
+        (reply,) = answers(session, KEYS.control("server", "reset"), payload)
+    assert reply.err
+    assert "at most 65536 are read" in reply.err.payload.to_string()
+    assert "command/reset" not in server.health.diagnostic(1).values
 
 
 def test_a_service_ends_when_it_is_told_to(bus):

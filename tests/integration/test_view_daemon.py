@@ -42,7 +42,7 @@ class Facility:
         depth_m = np.full((CAMERA.height, CAMERA.width), 3.0, np.float32)
         self._frame = frame_of(depth_m, amplitude=depth_m.astype(np.uint16), camera=CAMERA)
         self._published = 0
-        self._counted, self._health = Inbox(), Inbox()
+        self._counted, self._health = Inbox(capacity_bytes=4 << 30), Inbox()
         self._node = bus.node("counting")
         self._node.subscribe(DEPTH.of("pmd"), self._counted.put, recover=True, history=True)
         self._node.subscribe(DIAGNOSTICS, self._health.put)

@@ -1,9 +1,15 @@
 """A facility's file: what its services get, and what is refused before anything is started."""
 
+import errno
+import fcntl
+import os
+from threading import Timer
+
 import pytest
 import yaml
 
 from rpod.errors import AlreadyUpError
+from rpod.up.command import down_command, ps_command
 from rpod.up.daemon import Backoff
 from rpod.up.host_state import FacilityStatus, held, holder, read_status, write_status
 from rpod.up.resolved import resolve_facility
@@ -90,3 +96,30 @@ def test_one_process_holds_a_facility_and_its_end_sets_it_free(tmp_path):
 def test_a_facility_that_a_process_holds_which_is_not_known_is_told_as_such(tmp_path):
     assert "another process holds" in str(AlreadyUpError(tmp_path, None))
     assert "process 7 holds" in str(AlreadyUpError(tmp_path, 7))
+
+
+def test_a_reader_is_not_taken_for_the_process_that_holds_a_facility(tmp_path):
+    """The file may still have the number of a process that was killed; by now it may be another one's."""
+    (tmp_path / "manager.pid").write_text("4242")
+    with (tmp_path / "manager.pid").open("rb") as reader:
+        fcntl.flock(reader, fcntl.LOCK_SH)
+        assert holder(tmp_path) is None
+        Timer(0.1, fcntl.flock, (reader, fcntl.LOCK_UN)).start()
+        with held(tmp_path):
+            assert holder(tmp_path) == os.getpid()
+    assert (tmp_path / "manager.pid").read_text() == ""
+
+
+def test_a_facility_whose_state_cannot_be_read_is_not_called_down(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "hall.yaml"
+    file.write_text("name: hall\nservices: {router: {verb: router}}\n")
+
+    def refuse(path: object, *_: object) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr("rpod.up.host_state.os.open", refuse)
+    for command in (ps_command, down_command):
+        assert command(file, as_json=False) == 1
+    told = capsys.readouterr()
+    assert told.err.count("ask as the user who started it") == 2
+    assert told.out == ""

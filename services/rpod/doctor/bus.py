@@ -15,7 +15,6 @@ from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.requests.asker import Asker
 from rpod_runtime.requests.identity import open_identity
 from rpod_schemas.config.service import BusConfig, ServiceConfig
-from rpod_schemas.control import StatusReply
 
 _PINGS = 30
 _BLOCK_BYTES = 4 << 20
@@ -36,7 +35,7 @@ class Visitor(Asker):
 
     def versions(self) -> Iterator[Finding]:
         """Compare the versions of the services on the bus with this one."""
-        told = self.ask_all("status", StatusReply)
+        told = self.ask_all()
         if not told and self._secure:
             yield Finding(
                 "services", Level.UNCHECKED, f"none answers to {self._identity.name}",

@@ -130,7 +130,7 @@ def _print_played(played: Played, *, as_json: bool) -> None:
     for name, count in sorted(played.messages.items()):
         print(f"{name:30} {count}")
     for name in played.left_out:
-        print(f"{name:30} left out: its message type is not known")
+        print(f"{name:30} left out: its message type is not known, or no key can have its name")
     print(f"at most {played.behind_s:.3f} s behind", file=sys.stderr)
 
 

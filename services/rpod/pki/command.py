@@ -119,12 +119,17 @@ def request_command(folder: Path, role: str) -> None:
 
 
 @_with_exit_code
-def sign_command(folder: Path, request: Path, *, hosts: Sequence[str], days: float) -> None:
+def sign_command(
+    folder: Path, request: Path, *, hosts: Sequence[str], days: float, renews: bool = False
+) -> None:
     """Issue the certificate of a request."""
-    made = Authority.open(folder).certify(
-        request.read_bytes(), validity=timedelta(days=days), hosts=_checked(hosts)
+    authority = Authority.open(folder)
+    made = authority.certify(
+        request.read_bytes(), validity=timedelta(days=days), hosts=_checked(hosts), renews=renews
     )
-    print(f"{made}: certificate; copy the folder back, and 'rpod pki accept' it there")
+    (entry,) = [entry for entry in authority.entries if entry.name == made.name]
+    print(f"{made}: certificate of {entry.name}, role {entry.role}: {ROLES[entry.role].title}")
+    print(f"copy the folder back, and 'rpod pki accept' it there; else 'rpod pki revoke {entry.name}'")
 
 
 @_with_exit_code

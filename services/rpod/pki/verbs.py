@@ -80,12 +80,15 @@ def sign(
     request: Annotated[Path, typer.Argument(help="Request, made by 'rpod pki request'.")],
     host: RouterHostOption = None,
     days: DaysOption = 365,
+    renew: Annotated[
+        bool, typer.Option("--renew", help="The request is from the host that has the name already.")
+    ] = False,
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Issue or renew a certificate for a key of another host."""
+    """Issue a certificate for a key of another host, or renew it. It tells name and role."""
     from rpod.pki.command import sign_command
 
-    raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days))
+    raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days, renews=renew))
 
 
 @pki_verbs.command()

@@ -37,6 +37,7 @@ _TURN_MOST_S = 6.0
 """Longest time that one request takes, s, unless this process stands still."""
 _BACK_S = 60.0
 """Longest time that a service may take to be at work again."""
+_MOST_FAULTS = 500
 _RESTARTED = ("router", "emulator", "estimator", "logger")
 
 
@@ -104,6 +105,8 @@ class FaultPlayer:
                 f"{asked.service} cannot be killed: only {', '.join(_RESTARTED)} are started again"
             )
         with self._lock:
+            if len(self._faults) >= _MOST_FAULTS:
+                raise RefusedError(f"{_MOST_FAULTS} faults are planned or active already; wait for their end")
             self._faults.append(_Playing(asked, begin_ns, end_ns))
 
     def _play(self) -> None:

@@ -22,7 +22,7 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
 from rpod_schemas.poses import between, pose_error
-from rpod_schemas.texts import is_count
+from rpod_schemas.texts import is_count, shown
 from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
 from rpod_schemas.types import Diagnostic, Health, Mode
 from rpod_target import NO_SYMMETRY, load_equivalence
@@ -36,6 +36,8 @@ _STYLES = {
 }
 _LEVELS = {Health.WARN: "yellow", Health.ERROR: "red"}
 _PLAIN_PERIOD_S = 5.0
+_MOST = 100
+"""Largest number of services in trouble, of sensors, and of lines that stay: anybody may send diagnostics."""
 _VIEW = ViewConfig.model_fields["instance"].default
 
 
@@ -93,7 +95,7 @@ class Progress:
 
     def note(self, text: str) -> None:
         """Print a message on a line that stays; a message is printed once."""
-        if text not in self._printed:
+        if text not in self._printed and len(self._printed) < _MOST:
             self._printed.add(text)
             self._console.print(text, soft_wrap=True, highlight=False)
 
@@ -133,9 +135,9 @@ class Progress:
         else:
             for diagnostic in read_diagnostics(message):
                 if diagnostic.name == _VIEW:
-                    self.note(f"view: {diagnostic.message}")  # such as the address of its page
+                    self.note(f"view: {shown(diagnostic.message)}")  # such as the address of its page
                 self._seen.troubles.pop(diagnostic.name, None)
-                if diagnostic.level != Health.OK:
+                if diagnostic.level != Health.OK and len(self._seen.troubles) < _MOST:
                     self._seen.troubles[diagnostic.name] = diagnostic
                 self._take_counters(diagnostic.stamp_ns, diagnostic.values)
 
@@ -154,8 +156,8 @@ class Progress:
     def _truth_at(self, stamp_ns: int) -> RigidTransform | None:
         samples = list(self._seen.truth)
         for (first_ns, first), (second_ns, second) in pairwise(samples):
-            if first_ns <= stamp_ns <= second_ns:
-                return between(first, second, (stamp_ns - first_ns) / (second_ns - first_ns))
+            if first_ns <= stamp_ns <= second_ns:  # two may have one stamp, where somebody else publishes too
+                return between(first, second, (stamp_ns - first_ns) / max(second_ns - first_ns, 1))
         return None
 
     def _take_counters(self, stamp_ns: int, values: dict[str, str]) -> None:
@@ -163,6 +165,8 @@ class Progress:
             if not name.startswith("frames/") or not is_count(value):
                 continue
             sensor, count = name.removeprefix("frames/"), int(value)
+            if sensor not in self._seen.counted and len(self._seen.counted) >= _MOST:
+                continue
             before_ns, before = self._seen.counted.get(sensor, (stamp_ns, count))
             if stamp_ns > before_ns:
                 self._seen.rates_hz[sensor] = (count - before) * NANOSECONDS / (stamp_ns - before_ns)
@@ -194,7 +198,10 @@ class Progress:
 
     def _problems(self) -> list[Text]:
         return [
-            Text(f"{each.level.name} {each.name}: {each.message}", style=_LEVELS.get(each.level, "yellow"))
+            Text(
+                f"{each.level.name} {shown(f'{each.name}: {each.message}')}",
+                style=_LEVELS.get(each.level, "yellow"),
+            )
             for each in self._seen.troubles.values()
         ]
 

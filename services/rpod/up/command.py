@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,9 +60,9 @@ def ps_command(path: Path, *, as_json: bool) -> int:
     """Show the services of a facility; exit 0 if all are at work, 1 if not."""
     try:
         file, state = read_facility(path)
-    except ConfigurationError as error:
+        status = read_status(state, file.name)
+    except (ConfigurationError, RunError) as error:
         return failed("ps", error)
-    status = read_status(state, file.name)
     if as_json:
         print(status.model_dump_json(indent=2))
     else:
@@ -73,11 +74,12 @@ def down_command(path: Path, *, as_json: bool) -> int:
     """End ``rpod up`` and its services, and wait for it; return the exit code."""
     try:
         file, state = read_facility(path)
-    except ConfigurationError as error:
+        pid = holder(state)
+    except (ConfigurationError, RunError) as error:
         return failed("down", error)
-    pid = holder(state)
     if pid is not None:
-        os.kill(pid, signal.SIGTERM)
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.kill(pid, signal.SIGTERM)
         deadline_s = time.monotonic() + STOP_TIMEOUT_S * (len(file.services) + 1)
         while holder(state) == pid:
             if time.monotonic() > deadline_s:

@@ -2,11 +2,12 @@
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rpod.errors import AlreadyUpError
+from rpod.errors import AlreadyUpError, ForeignStateError
 from rpod_schemas.caches.whole_file import whole_file
 from rpod_schemas.config.base import Config, check, read_document
 from rpod_schemas.config.facility.hosts import FacilityFile
@@ -14,6 +15,9 @@ from rpod_schemas.config.facility.hosts import FacilityFile
 STOP_TIMEOUT_S = 60.0
 """Longest time that one service may take to finish, on a loaded machine too."""
 _LOCK, _STATUS = "manager.pid", "status.json"
+_LOOK_S, _RETRY_S = 0.5, 0.05
+"""Time for which a lock is tried again, since ``rpod ps`` holds it for a moment, and time between two tries,
+s."""
 
 
 class DaemonStatus(Config):
@@ -81,25 +85,45 @@ def held(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise AlreadyUpError(folder, holder(folder)) from None
+        _lock(descriptor, folder)
         os.ftruncate(descriptor, 0)
         os.write(descriptor, str(os.getpid()).encode())
         yield
+        os.ftruncate(descriptor, 0)  # the number may soon be that of another process
     finally:
         os.close(descriptor)  # which releases it, as the end of the process does
 
 
+def _lock(descriptor: int, folder: Path) -> None:
+    """Lock the file of a folder. Raises ``AlreadyUpError``."""
+    deadline_s = time.monotonic() + _LOOK_S
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < deadline_s:  # perhaps a reader looks at it
+                time.sleep(_RETRY_S)
+                continue
+            raise AlreadyUpError(folder, holder(folder)) from None
+        return
+
+
 def holder(folder: Path) -> int | None:
-    """Return the process that holds a folder; None if none does."""
+    """Return the process that holds a folder; None if none does, or it is not known which.
+
+    Readers share the lock, so that none of them takes another one for the holder.
+
+    Raises:
+        ForeignStateError: the folder is another user's.
+    """
     try:
-        descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
+        descriptor = os.open(folder / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
         return None
+    except OSError as error:
+        raise ForeignStateError(folder, error.strerror or str(error)) from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         text = os.read(descriptor, 32)
         return int(text) if text.isdigit() else None

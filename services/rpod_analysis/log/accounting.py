@@ -21,6 +21,8 @@ _BODIES, _BODY = "bodies/", "body/"
 elsewhere."""
 _MOST_LOSSES = 500
 _MOST_COMMANDS = 12
+_MOST_COUNTERS = 100_000
+"""Largest number of counters that are kept, of all services; a service has 3,000."""
 _MOST_ALARMS = 100
 """Largest number of kinds of alarms that are counted separately."""
 
@@ -73,6 +75,7 @@ class Account:
     """Last text about frames that a service did not use, by service, sensor and kind, and about known bodies,
     by service, ``body``, and body and sensor; the first ones only."""
     _lives: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    _counted: int = 0
 
     def take(self, logged: Logged) -> None:
         """Count a message."""
@@ -84,20 +87,27 @@ class Account:
         if diagnostic.level == Health.ERROR:
             alarm = without_figures(f"{diagnostic.name}: {diagnostic.message}")
             known = alarm in self.alarms or len(self.alarms) < _MOST_ALARMS
-            self.alarms[alarm if known else f"{diagnostic.name}: other errors"] += 1
-        now, ended = self.counters[diagnostic.name], self._lives[diagnostic.name]
+            self.alarms[alarm if known else "other errors"] += 1
         for name, text in diagnostic.values.items():
             if is_count(text):
-                value = int(text)
-                if value + ended[name] < now[name]:
-                    ended[name] = now[name]
-                if name.startswith(_COMMANDS) and value + ended[name] > now[name]:
-                    self._take_command(diagnostic, name.removeprefix(_COMMANDS))
-                now[name] = value + ended[name]
+                self._take_counter(diagnostic, name, int(text))
             elif name.startswith(_LOSS):
                 self._take_loss(diagnostic.name, name.removeprefix(_LOSS), text)
             elif name.startswith(_BODY):
                 self._take_loss(diagnostic.name, name, text)
+
+    def _take_counter(self, diagnostic: Diagnostic, name: str, value: int) -> None:
+        service = diagnostic.name
+        if service not in self.counters or name not in self.counters[service]:
+            if self._counted >= _MOST_COUNTERS:
+                return
+            self._counted += 1
+        now, ended = self.counters[service], self._lives[service]
+        if value + ended[name] < now[name]:
+            ended[name] = now[name]
+        if name.startswith(_COMMANDS) and value + ended[name] > now[name]:
+            self._take_command(diagnostic, name.removeprefix(_COMMANDS))
+        now[name] = value + ended[name]
 
     def _take_loss(self, service: str, name: str, text: str) -> None:
         first, _, rest = name.partition("/")

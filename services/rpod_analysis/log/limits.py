@@ -28,9 +28,18 @@ class LogLimits:
     """Size of a file's decompressed content over the file's size, above ``content_bytes``."""
     channels: float = 10_000
     """Number of channels, and number of schemas."""
+    messages: float = 20_000_000
+    """Number of messages of a file that is always accepted: those of eight hours of a facility."""
+    bytes_per_message: float = 8.0
+    """Least size of a file for each of its messages, above ``messages``. Messages of a clock, the smallest
+    of the facility, take 10 bytes when they are compressed."""
+
+    def most_messages(self, file_bytes: int) -> float:
+        """Return the greatest number of messages that are read of a file of a size."""
+        return max(self.messages, file_bytes / self.bytes_per_message)
 
 
-UNLIMITED = LogLimits(math.inf, math.inf, math.inf, math.inf)
+UNLIMITED = LogLimits(math.inf, math.inf, math.inf, math.inf, math.inf)
 _DEFAULT = LogLimits()
 _LIMITS = ContextVar("log_limits", default=_DEFAULT)
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,6 +20,7 @@ from typing import Any, Self
 from mcap.records import Channel, Statistics
 from scipy.spatial.transform import RigidTransform
 
+from rpod_analysis.errors import LogLimitError
 from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
 from rpod_analysis.log.logged import Logged
 from rpod_analysis.log.unreadable import Unreadable
@@ -176,6 +178,7 @@ class Log:
         for name, text in self.metadata(CONFIGURATION).items():
             try:
                 model = json.loads(text)
+                json.dumps(model, ensure_ascii=False).encode()  # half a character cannot be in a report
             except (ValueError, RecursionError):
                 model = None
             if not isinstance(model, dict):
@@ -277,11 +280,13 @@ class Log:
             return
         topics = {part.summary.channels[channel].topic for channel in channels}
         found = part.reader.iter_messages(sorted(topics), starting_at=start_ns, ending_before=end_ns)
-        while True:
+        for number in count(1):
             with reading(part.path):
                 item = next(found, None)
             if item is None:
                 return
+            if number > part.most_messages:
+                raise LogLimitError(part.path, "messages", number, int(part.most_messages))
             _, channel, message = item
             name, type_name, gid, session = channels[channel.id]
             yield Logged(

@@ -123,6 +123,8 @@ class LogFile:
     summary: Summary
     statistics: Statistics
     """Number of messages, and the times of the first and the last one."""
+    most_messages: float
+    """Largest number of messages that are read; the file itself may announce less than it has."""
 
     def metadata(self, record: str) -> dict[str, str]:
         """Return a metadata record, empty if there is none; later values replace earlier ones."""
@@ -169,12 +171,13 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
         raise TruncatedLogError(path)
     if not summary_is_whole(stream):
         raise DamagedLogError(path, "the checksum of its summary is wrong")
-    limits.check(path, stream.seek(0, 2), summary)
+    size = stream.seek(0, 2)
+    limits.check(path, size, summary)
     checked.expect(summary.chunk_indexes)
     for schema in summary.schemas.values():
         if schema.encoding == SCHEMA_ENCODING:
             learn(ros_type(schema), schema.data)
-    return LogFile(path, reader, summary, summary.statistics)
+    return LogFile(path, reader, summary, summary.statistics, limits.limits().most_messages(size))
 
 
 def summary_is_whole(stream: IO[bytes]) -> bool:

@@ -102,7 +102,8 @@ class DamagedChunk:
     end_ns: int | None = None
     """Time of arrival of the last message of a truncated chunk, from its header."""
     over_limit: bool = False
-    """Whether the chunk was not read because it announces more than the limit."""
+    """Whether it was not read because it announces more than the limit, or a search for records in it would
+    read more than that."""
 
 
 Found = McapRecord | Gap | DamagedChunk
@@ -121,12 +122,14 @@ def scan(stream: IO[bytes]) -> Iterator[Found]:
     """
     size = stream.seek(0, 2)
     offset = len(MAGIC) if is_mcap(stream) else 0
+    search = _Search(stream, size)
     while offset < size:
         whole = _record_at(stream, offset, size)
         if whole is None:
-            resumed = _next_record(stream, offset + 1, size)
+            resumed = search.next_record(offset + 1)
             cut = _cut_chunk(stream, offset, size) if resumed == size else None
-            yield cut or Gap(offset, resumed)
+            given_up = DamagedChunk(size - offset, (), over_limit=True) if search.given_up else None
+            yield given_up or cut or Gap(offset, resumed)
             offset = resumed
             continue
         record, length = whole
@@ -202,19 +205,42 @@ def _written(record: McapRecord) -> bytes:
     return content[_FRAME.size :]
 
 
-def _next_record(stream: IO[bytes], offset: int, size: int) -> int:
-    """Return the offset of the next record that is followed by another record or by the end of the file."""
-    while offset < size:
-        stream.seek(offset)
-        window = stream.read(_WINDOW)
-        for match in _CANDIDATE.finditer(window):
-            start = offset + match.start()
-            whole = _record_at(stream, start, size)
-            # Messages in an uncompressed chunk look like records, but no checksum protects their bytes.
-            if whole and not isinstance(whole[0], Message) and _goes_on(stream, start + whole[1], size):
-                return start
-        offset += max(len(window) - _FRAME.size, 1)
-    return size
+class _Search:
+    """Searches for the next record of a file byte by byte.
+
+    A hostile file may have a candidate at each byte, each as long as the file. So it reads as many bytes of
+    candidates as a file's content may have, and then gives up.
+    """
+
+    def __init__(self, stream: IO[bytes], size: int) -> None:
+        self._stream, self._size = stream, size
+        self._left = max(limits().content_bytes, limits().ratio * size)
+        self.given_up = False
+
+    def next_record(self, offset: int) -> int:
+        """Return where the next record begins that is followed by another one or by the end of the file."""
+        while offset < self._size and not self.given_up:
+            self._stream.seek(offset)
+            window = self._stream.read(_WINDOW)
+            for match in _CANDIDATE.finditer(window):
+                start = offset + match.start()
+                if self._is_record(start):
+                    return start
+                if self.given_up:
+                    break
+            offset += max(len(window) - _FRAME.size, 1)
+        return self._size
+
+    def _is_record(self, start: int) -> bool:
+        frame = _frame_at(self._stream, start, self._size)
+        # Messages in an uncompressed chunk look like records, but no checksum protects their bytes.
+        if frame is None or frame[0] == Opcode.MESSAGE:
+            return False
+        if not _goes_on(self._stream, start + _FRAME.size + frame[1], self._size):
+            return False
+        self._left -= frame[1]
+        self.given_up = self._left < 0
+        return not self.given_up and _record_at(self._stream, start, self._size) is not None
 
 
 def _goes_on(stream: IO[bytes], offset: int, size: int) -> bool:
@@ -243,10 +269,11 @@ def _cut_chunk(stream: IO[bytes], offset: int, size: int) -> DamagedChunk | None
     if len(head) < _FRAME.size + _CHUNK.size or head[0] != Opcode.CHUNK:
         return None
     _, end_ns, _, _, name_length = _CHUNK.unpack(head[_FRAME.size :])
-    if name_length > len("zstd") or _FRAME.unpack_from(head)[1] > _MOST_BYTES:
+    length = _FRAME.unpack_from(head)[1]
+    if name_length > len("zstd") or length > _MOST_BYTES:
         return None
     compression, _ = stream.read(name_length), stream.read(8)
-    records = list(_records_in(_unpacked(compression.decode("latin-1"), stream.read())))
+    records = list(_records_in(_unpacked(compression.decode("latin-1"), stream.read(length))))
     return DamagedChunk(
         size - offset,
         tuple(_definitions(records)),

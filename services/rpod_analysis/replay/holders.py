@@ -132,6 +132,6 @@ class LoggedHolders:
         for channel, text in self._log.metadata(PUBLISHERS).items():
             topic = self._log.name_of(channel)
             if topic in self._streams - named:
-                with suppress(ValueError, TypeError, KeyError):
+                with suppress(ValueError, TypeError, KeyError, RecursionError):
                     found[topic] = len({each["gid"] for each in json.loads(text)})
         return {topic: publishers for topic, publishers in sorted(found.items()) if publishers > 1}

@@ -7,9 +7,12 @@ topics and stamps are the same.
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from threading import Event
+
+import zenoh
 
 from rpod_analysis.errors import NothingToPlayError
 from rpod_analysis.log import Log, Logged
@@ -53,7 +56,7 @@ class Played:
     messages: Counter[str] = field(default_factory=Counter)
     """Number of messages by topic."""
     left_out: tuple[str, ...] = ()
-    """Requested topics whose message type is not known."""
+    """Requested topics whose message type is not known, or whose name no key can have."""
     laps: int = 0
     """Number of times that the end was reached."""
     behind_s: float = 0.0
@@ -87,11 +90,12 @@ class _Player:
         self._timeline = Timeline(log)
         self._played = Played()
         names = [name for name in chosen_topics(log, playback.topics) if name != CLOCK.name]
-        self._publishers = {
-            name: node.publisher(Topic(name, log.topics[name].type, is_latched(name)))
-            for name in names
-            if is_known(log.topics[name].type)
-        }
+        self._publishers: dict[str, Publisher] = {}
+        for name in names:
+            if is_known(log.topics[name].type):
+                with suppress(zenoh.ZError):  # a name that no key can have
+                    topic = Topic(name, log.topics[name].type, is_latched(name))
+                    self._publishers[name] = node.publisher(topic)
         if not self._publishers:
             raise NothingToPlayError(log.paths[0], playback.topics)
         self._played.left_out = tuple(name for name in names if name not in self._publishers)

@@ -17,6 +17,7 @@ from rpod_schemas.faults.injected import InjectedFault, read_faults
 from rpod_schemas.messages import read_diagnostics, read_integrity, read_odometry, read_stamp, read_status
 from rpod_schemas.rmw.cdr import peek_stamp
 from rpod_schemas.summary import MountDifference
+from rpod_schemas.texts import shown
 from rpod_schemas.topics import CLOCK, DIAGNOSTICS, ESTIMATE, FAULTS, INTEGRITY, STATUS, TRUTH
 from rpod_schemas.types import LOST_AFTER_S
 
@@ -24,6 +25,10 @@ _LATEST_NS = 2**63 - 1
 """Latest time that a table holds, ns; a log may say later ones."""
 _MOST_FAULTS = 500
 """Largest number of faults that are kept."""
+_LONGEST = 500
+"""Largest number of characters of a text that is kept: in an array each text takes as much as the longest."""
+_MOST_PARENTS = 8
+"""Largest number of frames of reference that are kept; a run has one."""
 
 
 @dataclass(eq=False)
@@ -87,7 +92,7 @@ class Reader:
         if message.pose.covariance.any():
             known = read_odometry(message).pose_covariance.tobytes()
         self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose), known))
-        self.found.parents.add(message.header.frame_id)
+        self._note_parent(message.header.frame_id)
 
     def _take_estimate(self, logged: Logged) -> None:
         message = logged.decode()
@@ -95,7 +100,11 @@ class Reader:
         pose, covariance = pose_numbers(message.pose.pose), message.pose.covariance.tobytes()
         publish_ns = min(logged.publish_ns, _LATEST_NS)
         self.found.estimates.add((read_stamp(message.header), pose, covariance, publish_ns))
-        self.found.parents.add(message.header.frame_id)
+        self._note_parent(message.header.frame_id)
+
+    def _note_parent(self, frame_id: str) -> None:
+        if len(self.found.parents) < _MOST_PARENTS:
+            self.found.parents.add(shown(frame_id, _LONGEST))
 
     def _take_status(self, logged: Logged) -> None:
         status = logged.decode()
@@ -103,8 +112,8 @@ class Reader:
         self.found.statuses.add(
             (
                 read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
-                status.processing_s, status.sensor, status.reason or _lost(read.evidence),
-                LOST_AFTER_S in read.evidence,
+                status.processing_s, shown(status.sensor, _LONGEST),
+                shown(status.reason, _LONGEST) or _lost(read.evidence), LOST_AFTER_S in read.evidence,
             )
         )  # fmt: skip
 
@@ -114,7 +123,7 @@ class Reader:
         self.found.integrity.add(
             (
                 told.stamp_ns, int(told.state), told.attitude_level_deg, told.position_level_m,
-                told.attitude_limit_deg, told.position_limit_m, told.reason,
+                told.attitude_limit_deg, told.position_limit_m, shown(told.reason, _LONGEST),
             )
         )  # fmt: skip
 

@@ -101,7 +101,7 @@ def _header(text: bytes) -> "tuple[str, dict[str, Any], list[tuple[str, np.dtype
         header = json.loads(text)
         kind, fields = header["kind"], header["fields"]
         told = [(each["name"], each["dtype"], tuple(map(int, each["shape"]))) for each in header["arrays"]]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"a header cannot be read ({type(error).__name__}: {error})") from error
     if kind not in KINDS or not isinstance(fields, dict):
         raise ValueError(f"a message of kind {kind!r}, known are {', '.join(KINDS)}")

@@ -144,9 +144,8 @@ class Subscriptions:
             yield arrived
 
     def _put_part(self, received: Received) -> None:
-        """Enqueue a part; count the frame that is dropped because the inbox is full or the estimator ends."""
-        dropped = received if self._ended else self._waiting.put(received)
-        if dropped is not None:
+        """Enqueue a part; count frames that are dropped because the inbox is full or the estimator ends."""
+        for dropped in [received] if self._ended else self._waiting.put(received):
             sensor, part = self._reader.parts[dropped.topic.name]
             if part == self._reader.leading[sensor]:
                 self.health.drop(sensor, time.monotonic())

@@ -4,11 +4,12 @@ The background is learned from frames without the target: for each pixel or ray,
 noise. Ranges that agree with it are not on the target. It is stored as arrays in an ``npz`` file.
 """
 
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
-from zipfile import BadZipFile
+from typing import Any, BinaryIO, Self
+from zipfile import BadZipFile, ZipFile
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from rpod_pose.surroundings.bodies import KnownBodies
 from rpod_pose.surroundings.frames import Frames
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.arrays import MAD_TO_SIGMA
+from rpod_schemas.bounds import IMAGE_PIXELS
 from rpod_schemas.config.base import load
 from rpod_schemas.config.surroundings import KnownSurroundings, SensorSurroundings
 from rpod_schemas.types import Float32Array
@@ -35,6 +37,13 @@ RESOLUTION = 2e-3
 MOST_FRAMES = 200
 """Largest number of frames from which a background is learned; they are spread evenly over all frames.
 Numerics: memory; a median is then known to a tenth of the noise."""
+
+
+_MOST_BYTES = 2 * 8 * int(IMAGE_PIXELS.high)
+"""Largest size of the two arrays of a background, of the largest image and of any numeric type. Numerics:
+memory; a compressed file of some megabytes may hold a thousand times as much."""
+_UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, BadZipFile, zlib.error)
+"""Exceptions that NumPy raises on damaged files."""
 
 
 class KnownSurroundingsError(PoseError):
@@ -91,9 +100,11 @@ class Background:
             KnownSurroundingsError: the file cannot be read, or has no background.
         """
         try:
-            with path.open("rb") as stream, np.load(stream) as arrays:
-                return cls(arrays["range_m"], arrays["sigma_m"])
-        except (OSError, ValueError, KeyError, TypeError, BadZipFile, KnownSurroundingsError) as error:
+            with path.open("rb") as stream:
+                _check_size(stream)
+                with np.load(stream) as arrays:
+                    return cls(arrays["range_m"], arrays["sigma_m"])
+        except (*_UNREADABLE, KnownSurroundingsError) as error:
             raise KnownSurroundingsError(
                 f"background {path} cannot be read: {error}; make it with 'rpod calibrate background'"
             ) from error
@@ -103,6 +114,15 @@ class Background:
         sigma_m = np.maximum(self.sigma_m, RESOLUTION * self.range_m)
         close: NDArray[np.bool_] = np.abs(range_m - self.range_m) < SIGMAS * sigma_m
         return close & (self.range_m > 0.0) & (range_m > 0.0)
+
+
+def _check_size(stream: BinaryIO) -> None:
+    """Raise ``KnownSurroundingsError`` if a file's arrays are larger than those of a background can be."""
+    with ZipFile(stream) as archive:
+        size = sum(each.file_size for each in archive.infolist())
+    if size > _MOST_BYTES:
+        raise KnownSurroundingsError(f"it holds {size:,} bytes, a background has {_MOST_BYTES:,} at most")
+    stream.seek(0)
 
 
 def _spread(ranges_m: Iterable[Float32Array]) -> tuple[list[Float32Array], int]:
@@ -163,7 +183,7 @@ class KnownParts:
         """
         unused = None
         if known.mask is not None:
-            image = cv2.imread(str(folder / known.mask), cv2.IMREAD_GRAYSCALE)
+            image = _grey_image(folder / known.mask)
             if image is None:
                 raise KnownSurroundingsError(f"mask {folder / known.mask} is no image that can be read")
             unused = image == 0
@@ -230,6 +250,14 @@ class KnownParts:
         return self.frames.behind_bodies(
             left, self.bodies.hiding(image, stamp_ns, T_chaser_sensor, self.sensor)
         )
+
+
+def _grey_image(path: Path) -> NDArray[Any] | None:
+    """Return an image, shape (rows, columns); None if it cannot be read."""
+    try:
+        return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # it is larger than OpenCV reads
+        return None
 
 
 def _require_size(name: str, known: NDArray[Any], range_m: Float32Array) -> None:

@@ -44,6 +44,9 @@ _KINDS = (
     ("eof|timed? ?out|reset", "it did not finish the handshake"),
 )
 """Log lines of Zenoh's TLS link, as patterns, and what they mean to the router's operator."""
+_TLS = "zenoh_link_tls"
+_LONGEST_LINE = 1000
+"""Largest number of characters of a line that is logged as it is."""
 
 
 def why_refused(bus: BusConfig) -> str:
@@ -93,7 +96,7 @@ def telling_refusals() -> Iterator[None]:
     """Log in plain words which clients this process's router refuses, one line a minute for each reason.
 
     Zenoh writes its own lines to standard output, so standard output is a pipe meanwhile. Lines that are not
-    understood are logged as they are.
+    understood are logged as they are, those about TLS once a minute.
     """
     reader, writer = os.pipe()
     before = os.dup(1)
@@ -116,17 +119,18 @@ def _log_lines(reader: int) -> None:
     with open(reader, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             kind = refusal_in(line)
-            if not kind:
-                log.info("%s", line.rstrip())
+            text = f"refused a client: {kind}" if kind else line.rstrip()[:_LONGEST_LINE]
+            if _TLS not in line:
+                log.info("%s", text)
                 continue
-            counts[kind] += 1
+            counts[kind] += 1  # a client can fail in ways that are not known here, too
             if time.monotonic() - told_s.get(kind, -_REMIND_S) >= _REMIND_S:
                 told_s[kind] = time.monotonic()
-                log.warning("refused a client: %s (%d so far)", kind, counts[kind])
+                log.warning("%s (%d so far)", text, counts[kind])
 
 
 def refusal_in(line: str) -> str:
     """Return what a line of Zenoh's log means to the operator; empty if it tells of no refused client."""
-    if "zenoh_link_tls" not in line:
+    if _TLS not in line:
         return ""
     return next((meaning for pattern, meaning in _KINDS if re.search(pattern, line)), "")

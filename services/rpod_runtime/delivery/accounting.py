@@ -139,15 +139,24 @@ class SequenceAccount:
         if len(self._last) > MOST_PUBLICATIONS:
             self._forget()
 
+    def restart(self, key: str, gid: bytes) -> None:
+        """Forget a sequence: another publisher continues under the gid, with numbers of its own."""
+        with self._lock:
+            self._last.pop((key, gid), None)
+            self._drop((key, gid))
+
     def _forget(self) -> None:
         """Forget the sequence that was silent longest; what was counted of it stays counted."""
         with self._lock:
             publication, _ = self._last.popitem(last=False)
-            self._elsewhere.pop(publication, None)
-            self._live.discard(publication)
-            self._gaps.pop(publication, None)
-            self._given_up.pop(publication, None)
+            self._drop(publication)
             self.forgotten += 1
+
+    def _drop(self, publication: Publication) -> None:
+        self._elsewhere.pop(publication, None)
+        self._live.discard(publication)
+        self._gaps.pop(publication, None)
+        self._given_up.pop(publication, None)
 
     def _judge(self, publication: Publication, sequence: int, *, fetched: bool) -> None:
         """Count a gap; raise if the number is not accepted."""

@@ -1,7 +1,6 @@
 """Asks other services by queries of the control plane (ICD section 4)."""
 
 import time
-from contextlib import suppress
 from threading import Event
 from typing import TypeVar
 
@@ -12,10 +11,15 @@ from rpod_runtime.errors import QueryFailedError
 from rpod_runtime.process.awake import AwakeClock
 from rpod_runtime.requests.identity import Identity
 from rpod_runtime.requests.replies import error_text
-from rpod_schemas.control import Empty
+from rpod_schemas.control import Empty, StatusReply
 from rpod_schemas.topics import Namespace
 
 ReplyT = TypeVar("ReplyT", bound=BaseModel)
+MOST_SERVICES = 1000
+"""Largest number of services whose answers to one question count."""
+_STATUS = "status"
+_LONGEST_STATUS = 8 << 20
+"""Largest answer that is read, bytes; it has the counters and the configuration of a service."""
 
 _DISCOVERY_S, _RETRY_S = 2.0, 0.05
 """Longest time until other sessions know what a service has just declared, and time between two tries."""
@@ -71,18 +75,34 @@ class Asker:
                 )
             self.stop.wait(_RETRY_S)
 
-    def ask_all(self, verb: str, reply: type[ReplyT], *, timeout_s: float = 1.0) -> list[ReplyT]:
-        """Query every service that answers a verb; invalid and missing answers are left out."""
+    def ask_all(self, *, timeout_s: float = 1.0) -> list[StatusReply]:
+        """Ask every service for its status; invalid and missing answers are left out.
+
+        An answer counts only on the key of the service that it names: on a secure bus the router lets no
+        service answer on the key of another one. Of each service one answer counts, of ``MOST_SERVICES`` at
+        most.
+        """
         answers = self._session.get(
-            self._keys.control("*", verb, self._identity.name),
+            self._keys.control("*", _STATUS, self._identity.name),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             payload=Empty().model_dump_json(),
             timeout=timeout_s,
         )
-        replies = []
+        found: dict[str, StatusReply] = {}
         for answer in answers:
-            with suppress(ValidationError):
-                if answer.ok:
-                    replies.append(reply.model_validate_json(answer.ok.payload.to_bytes()))
-        return replies
+            status = self._status_of(answer)
+            if status is not None and len(found) < MOST_SERVICES:
+                found.setdefault(status.name, status)
+        return list(found.values())
+
+    def _status_of(self, answer: zenoh.Reply) -> StatusReply | None:
+        """Return the status of an answer; None if it is none, too long, or names another service."""
+        if answer.ok is None or len(answer.ok.payload) > _LONGEST_STATUS:
+            return None
+        try:
+            status = StatusReply.model_validate_json(answer.ok.payload.to_bytes())
+        except ValidationError:
+            return None
+        own = self._keys.control(status.name, _STATUS, self._identity.name)
+        return status if str(answer.ok.key_expr) == own else None

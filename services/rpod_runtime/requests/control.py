@@ -1,6 +1,7 @@
 """The serving side of the control plane: JSON queries, answered by a model or by an error (ICD section 4)."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -8,7 +9,7 @@ import zenoh
 from pydantic import BaseModel
 
 from rpod_runtime.health import HealthBook
-from rpod_runtime.requests.identity import Identity
+from rpod_runtime.requests.identity import Identity, check_size
 from rpod_runtime.requests.replies import error_reply
 from rpod_schemas.topics import Namespace
 from rpod_security.errors import AuditError
@@ -41,7 +42,8 @@ class Served(Generic[RequestT]):
             asker = ""
             try:
                 payload = query.payload
-                asker = self.identity.asker(str(query.key_expr), self.verb, len(payload) if payload else 0)
+                asker = self.identity.asker(str(query.key_expr), self.verb)
+                check_size(len(payload) if payload else 0)
                 asked = self.request.model_validate_json(payload.to_bytes() if payload else b"{}")
                 request = asked.model_dump_json()
                 self._keep(asker, request, "asked")  # what cannot be recorded is not done
@@ -57,10 +59,11 @@ class Served(Generic[RequestT]):
     def _refuse(self, query: zenoh.Query, asker: str, error: Exception) -> None:
         answer = error_reply(error)
         query.reply_err(answer.model_dump_json())
-        if asker and not isinstance(error, AuditError):
-            self._keep(asker, "", f"{answer.error}: {answer.message}")
-        else:
-            self.health.count(f"refused/{self.verb}")
+        with suppress(AuditError):  # nothing was done; the next command is refused with this error
+            if asker and not isinstance(error, AuditError):
+                self._keep(asker, "", f"{answer.error}: {answer.message}")
+                return
+        self.health.count(f"refused/{self.verb}")
 
     def _keep(self, asker: str, request: str, outcome: str) -> None:
         if asker and self.verb != _STATUS:

@@ -16,8 +16,15 @@ _RATE_HZ = 20.0
 """The same for all other verbs: commands, which people and supervisors give."""
 _BURST_S = 2.0
 """Time for which a client may save requests that it did not make, for a burst."""
-_LONGEST_REQUEST = 1 << 16
-"""Largest request, bytes; a reset with a covariance has 2,000."""
+LONGEST_REQUEST = 1 << 16
+"""Largest request, bytes; a reset with a covariance has 2,000. The last one that was accepted of each verb
+stands in every diagnostics message."""
+
+
+def check_size(size: int) -> None:
+    """Raise ``RefusedError`` if a request of so many bytes is too long to be read."""
+    if size > LONGEST_REQUEST:
+        raise RefusedError(f"the request has {size} bytes, at most {LONGEST_REQUEST} are read")
 
 
 class Identity(Protocol):
@@ -31,7 +38,7 @@ class Identity(Protocol):
         """Last part of the keys that the service serves."""
         ...
 
-    def asker(self, key: str, verb: str, size: int) -> str:
+    def asker(self, key: str, verb: str) -> str:
         """Return the client that asks by a key. Raises ``RefusedError``: no name in the key, or a flood."""
         ...
 
@@ -70,7 +77,7 @@ class Anonymous:
     name = ""
     served = ""
 
-    def asker(self, key: str, verb: str, size: int) -> str:  # noqa: ARG002 - of the protocol
+    def asker(self, key: str, verb: str) -> str:  # noqa: ARG002 - of the protocol
         """Return an empty name."""
         return ""
 
@@ -92,13 +99,11 @@ class Certified:
         self._audit, self._expiry = audit, expiry
         self._buckets: dict[tuple[str, str], _Bucket] = {}
 
-    def asker(self, key: str, verb: str, size: int) -> str:
+    def asker(self, key: str, verb: str) -> str:
         """Return the name at the end of a key, which the router has compared with the certificate."""
         *_, by, name = key.split("/")
         if by != "by" or not name or "*" in name:
             raise RefusedError(f"{key} does not say who asks; ask .../{verb}/by/<your name>")
-        if size > _LONGEST_REQUEST:
-            raise RefusedError(f"the request has {size} bytes, at most {_LONGEST_REQUEST} are read")
         kind = verb if verb in _RATES_HZ else ""
         bucket = self._buckets.setdefault((name, kind), _Bucket(_RATES_HZ.get(kind, _RATE_HZ)))
         if not bucket.take():

@@ -21,6 +21,7 @@ from rpod_runtime.requests.asker import Asker
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.control import StatusReply
 from rpod_schemas.rmw.wire import publisher_tokens, session_of_token, token_pattern
+from rpod_schemas.texts import shown
 from rpod_schemas.topics import Topic
 
 log = logging.getLogger(__name__)
@@ -32,6 +33,8 @@ _RETRY_S = 0.1
 _TOKENS_S = 2.0
 _MOST = 20
 """Largest number of others that are told."""
+_LONGEST_ID = 32
+"""Number of digits of a Zenoh identity; in a token anybody may write any text."""
 _REMEDY = "stop one of them, or give one another instance and prefix"
 ALARM = "second_service"
 """Name of the value in the diagnostics that tells of another service."""
@@ -120,7 +123,7 @@ class _Watch:
 
     def _take(self, what: str, token: zenoh.Sample) -> None:
         key = str(token.key_expr)
-        other = session_of_token(key)
+        other = shown(session_of_token(key), _LONGEST_ID)
         if other == self._own:
             return
         with self._lock:

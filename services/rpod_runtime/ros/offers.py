@@ -3,10 +3,13 @@
 from collections.abc import Callable
 
 from rpod_schemas.rmw.qos import Qos
+from rpod_schemas.texts import shown
 from rpod_schemas.topics import Topic
 
 _NODE, _QOS = 8, -1
 """Places of the node's name and of the quality of service in a token."""
+_LONGEST = 255
+"""Largest number of characters of a node's name in ROS 2."""
 
 
 def offer_watch(topic: Topic, warn: Callable[[str, str], None]) -> Callable[[str], None]:
@@ -24,8 +27,9 @@ def offer_watch(topic: Topic, warn: Callable[[str, str], None]) -> Callable[[str
         if lacks:
             warn(
                 f"qos/{topic.name}",
-                f"node {parts[_NODE]} does not publish it as {' and '.join(lacks)}, so that what it sent "
-                "before this service started is missing; set its publisher to RELIABLE and TRANSIENT_LOCAL",
+                f"node {shown(parts[_NODE], _LONGEST)} does not publish it as {' and '.join(lacks)}, so that "
+                "what it sent before this service started is missing; set its publisher to RELIABLE and "
+                "TRANSIENT_LOCAL",
             )
 
     return take

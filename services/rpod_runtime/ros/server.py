@@ -12,6 +12,7 @@ from typing import Any
 
 import zenoh
 
+from rpod_runtime.requests.identity import check_size
 from rpod_runtime.requests.replies import error_reply
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.rmw.cdr import decode, encode
@@ -56,6 +57,7 @@ class ServiceServer:
 
     def _response(self, payload: bytes) -> Any:
         try:
+            check_size(len(payload))
             return self._answer(decode(payload, f"{self._service.type}_Request"))
         except Exception as error:  # noqa: BLE001 - the caller gets any error as a reply
             told = error_reply(error)

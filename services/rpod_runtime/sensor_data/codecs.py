@@ -21,6 +21,10 @@ _DEPTH_HEADER_BYTES = 12
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of JPEG after which the size stands (ITU-T T.81, table B.1)."""
+_FILL = 0xFF
+_ALONE = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
+"""Markers without a length; none of them stands between the first one and the frame."""
+_LEAST_LENGTH = 2
 _ENCODINGS = {"uint8": "mono8", "uint16": "mono16"}
 
 
@@ -50,7 +54,10 @@ def decompressed(message: Any) -> Any:
     _check_size(data)
     import cv2  # noqa: PLC0415 - only who reads such images needs it
 
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error:  # a header that OpenCV does not accept; usually it returns None
+        image = None
     if image is None:
         raise MessageRejectedError(
             Reason.MALFORMED, f"{message.format!r} in {data.size} bytes cannot be decoded"
@@ -89,9 +96,15 @@ def _jpeg_size(data: NDArray[np.uint8]) -> tuple[int, int] | None:
         return None
     at = 2
     while at + 9 <= data.size and data[at] == 0xFF:
-        if int(data[at + 1]) in _START_OF_FRAME:
+        marker, length = int(data[at + 1]), int.from_bytes(data[at + 2 : at + 4].tobytes())
+        if marker == _FILL:  # any number of them may stand before a marker
+            at += 1
+            continue
+        if marker in _START_OF_FRAME:
             return int.from_bytes(data[at + 5 : at + 7].tobytes()), int.from_bytes(
                 data[at + 7 : at + 9].tobytes()
             )
-        at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4].tobytes()))
+        if marker in _ALONE or length < _LEAST_LENGTH:
+            return None  # a decoder would look for the size elsewhere
+        at += 2 + length
     return None

@@ -315,3 +315,13 @@ def test_the_first_frame_of_a_fault_of_stamps_is_stamped_as_the_next_ones():
     stamps_ns = [read_stamp(camera.frame(at_s)["depth"].header) for at_s in (4.9, 5.0, 5.1)]
     half_ns = PmdConfig().info(0.02).duration_s * SECOND_NS / 2
     assert stamps_ns == [4_900_000_000, 5_000_000_000 - half_ns, 5_100_000_000 - half_ns]
+
+
+def test_requests_without_end_are_refused_until_some_are_over():
+    faults, asked = Faults.of(config()), FaultRequest(fault="blackout", duration_s=2.0)
+    for _ in range(500):
+        faults.request(asked, 0)
+    with pytest.raises(RefusedError, match="500 faults are planned or active already"):
+        faults.request(asked, SECOND_NS)
+    faults.request(asked, 3 * SECOND_NS)
+    assert len(faults.begun(3 * SECOND_NS, 0)) == 1

@@ -51,3 +51,9 @@ def test_any_key_has_a_topic_and_a_type_where_it_is_known():
     unknown = KEYS.topic_at("3/servicer/x/lab_msgs::msg::dds_::Nobody_/RIHS01_00")
     assert (unknown.name, unknown.type) == ("x/lab_msgs::msg::dds_::Nobody_/RIHS01_00", "")
     assert KEYS.topic_at("alone").name == "alone"
+
+
+def test_of_keys_without_end_the_last_ones_are_remembered():
+    extras = Extras(KEYS, ["lab/**"])
+    assert all(extras.owns(0, f"lab/{number}") for number in range(5000))
+    assert extras._first.cache_info().currsize < 5000

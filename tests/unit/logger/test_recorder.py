@@ -12,7 +12,7 @@ import pytest
 from facility_process import until
 from logger_desk import Desk, completeness, counts, metadata, read
 
-from rpod_logger import recorder, recording
+from rpod_logger import latched, recorder, recording
 from rpod_logger.errors import AlreadyRecordingError, CannotWriteError, NotRecordingError
 from rpod_logger.writer import LogFile
 from rpod_runtime.delivery.accounting import DuplicateError, JumpError
@@ -71,7 +71,7 @@ def test_what_was_recovered_and_what_was_rejected_is_told(desk, arrive):
 
 
 def test_latched_messages_of_publishers_without_end_are_bounded(desk, arrive, monkeypatch, caplog):
-    monkeypatch.setattr(recorder, "_MOST_LATCHED", 3)
+    monkeypatch.setattr(latched, "MOST_MESSAGES", 3)
     one = desk()
     one.recorder.start()
     for number in range(5):
@@ -83,8 +83,21 @@ def test_latched_messages_of_publishers_without_end_are_bounded(desk, arrive, mo
     assert caplog.text.count("more than 3 latched messages") == 1
 
 
+def test_latched_messages_are_bounded_in_bytes_too(desk, arrive, monkeypatch, caplog):
+    monkeypatch.setattr(latched, "MOST_BYTES", 1000)
+    one = desk()
+    one.recorder.start()
+    for number in range(5):
+        one.put(arrive(TF_STATIC, 1, payload=bytes(400), gid=bytes([number] * 16)))
+    second = one.recorder.split()
+    one.recorder.stop()
+    assert len(read(second.path)) == 2
+    assert one.counter("latched/forgotten") == 3
+    assert caplog.text.count("the next file begins without the rest") == 1
+
+
 def test_publishers_without_end_are_written_but_not_all_listed(desk, arrive, monkeypatch):
-    monkeypatch.setattr(recording, "_MOST_PUBLISHERS", 3)
+    monkeypatch.setattr(recording, "_MOST_RUNS", 3)
     one = desk()
     log = one.recorder.start()
     for number in range(5):
@@ -92,7 +105,22 @@ def test_publishers_without_end_are_written_but_not_all_listed(desk, arrive, mon
     one.recorder.stop()
     assert len(read(log.path)) == 5
     assert counts(log.path)["/clock"] == TopicCount(received=5, written=5)
-    assert completeness(log.path).reasons == ("more than 3 publishers: not all of them are listed",)
+    (reason,) = completeness(log.path).reasons
+    assert reason == "more than 3 publishers, or jumps of them: not all are listed"
+
+
+def test_a_publisher_that_jumps_without_end_is_not_listed_without_end(desk, arrive, monkeypatch):
+    monkeypatch.setattr(recording, "_MOST_RUNS", 3)
+    one = desk()
+    log = one.recorder.start()
+    starts = [10_000 * jump for jump in range(1, 8)]
+    for number in (start + step for start in starts for step in range(3)):
+        with suppress(JumpError):
+            one.put(arrive(CLOCK, number))
+    one.recorder.stop()
+    assert len(numbers(log.path)["/clock"]) == 3
+    assert counts(log.path)["/clock"].written == len(read(log.path)) == 3 + 6
+    assert not completeness(log.path).complete
 
 
 def test_sequence_numbers_can_be_counted_again_by_publisher(desk, arrive):

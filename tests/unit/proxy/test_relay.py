@@ -174,3 +174,13 @@ def test_a_fault_holds_for_its_link_and_its_time_and_others_are_refused():
         plan.request(FaultRequest(fault="link_stall", service="motion", duration_s=1.0), 0)
     with pytest.raises(RefusedError, match="dropout is no fault of a link"):
         plan.request(FaultRequest(fault="dropout", duration_s=1.0), 0)
+
+
+def test_faults_without_end_are_refused_until_some_are_over():
+    plan, asked = Plan(("logger",)), FaultRequest(fault="link_stall", service="logger", duration_s=2.0)
+    for _ in range(500):
+        plan.request(asked, 0)
+    with pytest.raises(RefusedError, match="500 faults are planned or active already"):
+        plan.request(asked, SECOND_NS)
+    plan.request(asked, 3 * SECOND_NS)
+    assert len(plan.begun(3 * SECOND_NS)) == 1

@@ -2,14 +2,14 @@ import time
 
 from rpod_runtime.delivery.inbox import Inbox, Received
 from rpod_runtime.health import MOST_NAMES, HealthBook
-from rpod_schemas.errors import Reason
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import TRUTH
 from rpod_schemas.types import Health
 
 
-def received(number):
-    return Received(TRUTH, "k", memoryview(b""), Attachment(number, 0, bytes(16)), 0)
+def received(number, size=0):
+    return Received(TRUTH, "k", memoryview(bytes(size)), Attachment(number, 0, bytes(16)), 0)
 
 
 def test_an_inbox_hands_out_all_in_order_of_arrival():
@@ -28,6 +28,17 @@ def test_what_does_not_fit_an_inbox_is_counted_and_the_newest_stay():
     assert [item.attachment.sequence for item in inbox.wait(0.0)] == [4, 5]
     inbox.put(received(6))
     assert inbox.overflowed == 3
+
+
+def test_an_inbox_is_bounded_in_bytes_too_and_says_what_it_dropped():
+    inbox = Inbox(capacity_bytes=1000)
+    assert [inbox.put(received(number, 300)) for number in (1, 2, 3)] == [[], [], []]
+    dropped = inbox.put(received(4, 700))
+    assert [item.attachment.sequence for item in dropped] == [1, 2]
+    assert inbox.overflowed == 2
+    assert len(inbox.put(received(5, 5000))) == 2
+    assert [item.attachment.sequence for item in inbox.wait(0.0)] == [5]
+    assert inbox.put(received(6, 900)) == []
 
 
 def test_rejections_are_counted_by_topic_and_reason_and_told_each_minute(monkeypatch):
@@ -100,3 +111,19 @@ def test_names_without_end_are_counted_together():
     assert len(counters) == MOST_NAMES + 1
     assert counters["received/clock"] == 2
     assert counters["received/others"] == MOST_NAMES + 1
+
+
+def test_a_name_that_an_error_quotes_does_not_make_the_diagnostics_long():
+    error = MessageRejectedError(Reason.UNKNOWN_FRAME, f"frame {'x' * 60_000} has no chain")
+    health = HealthBook("estimator")
+    health.reject("pmd/depth/image_raw", error)
+    assert len(health.rejection("pmd/depth/image_raw")) < 1100
+    assert error.text.startswith("frame xxx")
+    assert len(str(error)) < 1100
+
+
+def test_an_error_that_quotes_a_message_is_one_line_without_control_characters():
+    error = MessageRejectedError(
+        Reason.UNKNOWN_FRAME, "frame 'a\n12:00 ERROR logger: lost\x1b[2J' has no chain"
+    )
+    assert error.text == "frame 'a�12:00 ERROR logger: lost�[2J' has no chain"

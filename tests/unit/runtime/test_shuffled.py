@@ -2,6 +2,7 @@
 
 import struct
 
+import cv2
 import numpy as np
 import pytest
 import zstandard
@@ -75,3 +76,30 @@ def test_a_picture_that_says_that_it_is_huge_is_rejected(data):
         decompressed(write_compressed(1, "", "mono16; png", np.frombuffer(data, np.uint8)))
     with pytest.raises(MessageRejectedError, match="neither PNG nor JPEG"):
         decompressed(write_compressed(1, "", "mono16; png", np.frombuffer(b"GIF89a" + bytes(40), np.uint8)))
+
+
+def hidden_jpeg(width, height, before):
+    """Return a picture whose size a decoder finds behind some bytes.
+
+    A reader that takes these bytes for a marker with a length finds a small size farther on.
+    """
+    frame = b"\xff\xc0\0\x0b\x08" + struct.pack(">HH", height, width) + b"\x01\x01\x11\0"
+    head = b"\xff\xd8" + before + frame
+    farther = 4 + int.from_bytes(head[4:6])
+    return head + bytes(farther - len(head)) + jpeg(10, 10)[8:]
+
+
+@pytest.mark.parametrize("before", [b"\xff", b"\xff\xff\xff", b"\xff\xd0", b"\xff\x01"])
+def test_the_size_of_a_jpeg_is_read_where_a_decoder_reads_it(before):
+    data = np.frombuffer(hidden_jpeg(60_000, 60_000, before), np.uint8)
+    with pytest.raises(MessageRejectedError, match=r"width is 60,000|neither PNG nor JPEG"):
+        decompressed(write_compressed(1, "", "mono8; jpeg", data))
+
+
+def test_an_error_of_the_decoder_is_a_rejection(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise cv2.error("(-215:Assertion failed) pixels <= CV_IO_MAX_IMAGE_PIXELS")
+
+    monkeypatch.setattr(cv2, "imdecode", refuse)
+    with pytest.raises(MessageRejectedError, match="cannot be decoded"):
+        decompressed(write_compressed(1, "", "mono16; png", np.frombuffer(png(10, 10), np.uint8)))

@@ -1,4 +1,5 @@
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -66,3 +67,25 @@ def test_a_line_that_did_not_reach_the_disk_is_not_in_the_record(
             record.add(role="operator", verb="stop", request="2", outcome="accepted")
     record.add(role="operator", verb="stop", request="3", outcome="accepted")
     assert check(tmp_path / "audit.jsonl") == 2
+
+
+def test_a_line_that_a_power_failure_cut_does_not_take_the_next_one_with_it(tmp_path: Path):
+    file = tmp_path / "audit.jsonl"
+    record = AuditRecord(file, "logger")
+    for number in (1, 2):
+        record.add(role="operator", verb="stop", request=str(number), outcome="accepted")
+    file.write_bytes(file.read_bytes()[:-20])
+    later = AuditRecord(file, "logger")
+    for number in (3, 4):
+        later.add(role="operator", verb="stop", request=str(number), outcome="accepted")
+    lines = file.read_bytes().splitlines()
+    assert [json.loads(lines[at])["request"] for at in (0, 2, 3)] == ["1", "3", "4"]
+    with pytest.raises(AuditError, match="line 2 is damaged"):
+        check(file)
+
+
+def test_a_record_that_is_nested_without_end_is_one_line(tmp_path: Path):
+    file = tmp_path / "audit.jsonl"
+    file.write_text("[" * 100_000 + "\n")
+    with pytest.raises(AuditError, match="line 1 is damaged"):
+        check(file)

@@ -124,3 +124,31 @@ def test_a_damaged_chain_is_one_error(tmp_path, text):
     chain_of(log).unlink()
     with pytest.raises(ChainError, match="digest_chain"):
         verify(log)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("continues", "../other/run.mcap"),
+        ("continues", ""),
+        ("certificate", "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"),
+        ("certificate", "\ud800"),
+    ],
+)
+def test_a_first_line_with_hostile_values_is_one_error(tmp_path, field, value):
+    log = write(tmp_path / "run.mcap")
+    head, *rest = lines_of(log)
+    text = "\n".join(json.dumps(each) for each in (head | {field: value}, *rest))
+    chain_of(log).write_text(text + "\n")
+    with pytest.raises(ChainError, match=r"run\.mcap\.chain"):
+        verify(log)
+
+
+def test_a_time_that_no_calendar_has_is_one_error(tmp_path):
+    log = write(tmp_path / "run.mcap")
+    log.write_bytes(b"F" + log.read_bytes()[1:])
+    head, first, *rest = lines_of(log)
+    late = first | {"time": "9999-12-31T23:59:59-23:00"}
+    chain_of(log).write_text("\n".join(json.dumps(each) for each in (head, late, *rest)) + "\n")
+    with pytest.raises(ChainError, match="is damaged"):
+        verify(log)

@@ -1,6 +1,7 @@
 """Finding, caching and refusing parameter files."""
 
 import concurrent.futures
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import pytest
 import yaml
 
 import rpod_target
-from rpod_target import Target, TargetError, load_target, shipped_targets
+from rpod_target import Target, TargetError, load_equivalence, load_target, shipped_targets
 from rpod_target import cache as store
 
 Build = Callable[..., Target]
@@ -304,6 +305,13 @@ def test_an_unreadable_file_is_refused(tmp_path: Path, content: bytes, reason: s
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TargetError, match="No such file"):
         load_target(tmp_path / "target.yaml")
+
+
+def test_a_pipe_is_no_target_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "target.yaml")
+    for name in (tmp_path / "target.yaml", tmp_path):
+        with pytest.raises(TargetError, match="is no file; give"):
+            load_equivalence(name)
 
 
 def test_a_name_that_no_file_can_have_is_refused_in_one_short_line():

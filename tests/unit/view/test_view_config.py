@@ -1,10 +1,12 @@
 from threading import Event
+from types import SimpleNamespace
 
 import pytest
 
 from rpod_schemas.config.base import check
 from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_view.daemon import _target
 from rpod_view.viewer.viewer import has_display, open_viewer
 
 
@@ -55,3 +57,9 @@ def test_a_window_needs_a_display(monkeypatch, name):
     assert not has_display()
     monkeypatch.setenv(name, ":0")
     assert has_display()
+
+
+@pytest.mark.parametrize("named", [None, 7, {"a": 1}, ["mockup"]])
+def test_a_target_that_is_no_name_is_not_shown(named):
+    status = SimpleNamespace(configuration={"target": named})
+    assert _target(SimpleNamespace(ask_all=lambda: [status]), None) is None

@@ -107,6 +107,6 @@ def _json(text: bytes, kind: int, source: str) -> dict[str, Any]:
         return {}
     try:
         found = json.loads(stripped)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RecordingError(source, f"metadata of chunk {kind} is no JSON ({error})") from error
     return found if isinstance(found, dict) else {}

@@ -12,7 +12,7 @@ from rpod_analysis import open_log
 from rpod_analysis.log.completeness import check_log_completeness
 from rpod_analysis.recovery import recover
 from rpod_schemas.errors import Reason
-from rpod_schemas.logs import COMPLETENESS, COUNTS, PUBLISHERS, Numbers
+from rpod_schemas.logs import BUS, COMPLETENESS, COUNTS, PUBLISHERS, Numbers
 
 
 def statement_of(*paths):
@@ -38,6 +38,8 @@ def with_records(path, **records):
             writer.add_metadata(item.name, records.get(item.name, item.metadata))
         if PUBLISHERS in records:
             writer.add_metadata(PUBLISHERS, records[PUBLISHERS])
+        if BUS in records:
+            writer.add_metadata(BUS, records[BUS])
         writer.finish()
     return out
 
@@ -102,8 +104,13 @@ def test_the_record_tells_how_much_was_published_before_the_log(whole):
         assert log.published_before == {}
 
 
-def test_a_statement_that_cannot_be_read_counts_as_none_that_is_good(whole):
-    said = statement_of(with_records(whole, **{COMPLETENESS: {"complete": "perhaps"}}))
+@pytest.mark.parametrize("text", ["perhaps", "[" * 100_000])
+@pytest.mark.parametrize(("record", "field"), [(COMPLETENESS, "complete"), (BUS, "outages")])
+def test_a_statement_that_cannot_be_read_counts_as_none_that_is_good(whole, record, field, text):
+    with open_log(whole) as log:
+        good = log.files[0].metadata(record)
+    out = with_records(whole, **{record: good | {field: text}})
+    said = statement_of(out)
     assert (said.complete, said.reasons) == (False, ("its record of completeness cannot be read",))
 
 

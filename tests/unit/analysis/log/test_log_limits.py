@@ -1,6 +1,8 @@
 """Files that ask for more than a log does: told in one line, in bounded memory, and read if that is meant."""
 
 import tracemalloc
+from contextvars import ContextVar
+from io import BytesIO
 from pathlib import Path
 
 import lz4.frame
@@ -8,11 +10,12 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
+from synthetic_log import SyntheticRun
 
 from rpod_analysis.errors import DamagedLogError, LogLimitError, NothingRecoveredError
 from rpod_analysis.log import limits, open_log
 from rpod_analysis.log.limits import LogLimits, lifted
-from rpod_analysis.recovery import recover
+from rpod_analysis.recovery import recover, salvage
 from rpod_schemas.rmw.cdr import is_known, learn
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -115,6 +118,35 @@ def test_the_contents_of_a_file_have_a_limit_by_its_size(tmp_path, monkeypatch):
     path = log(tmp_path / "log.mcap", "zstd", bomb("zstd"), announced=64 * MIB)
     with pytest.raises(LogLimitError, match=r"67,108,864 bytes in chunks, of a file of 2,\d+ bytes"):
         open_log(path)
+
+
+def test_messages_without_end_are_refused_and_read_where_the_limits_are_lifted(tmp_path, monkeypatch):
+    path = SyntheticRun().write(tmp_path / "run.mcap")
+    few = LogLimits(messages=5, bytes_per_message=1e9)
+    monkeypatch.setattr(limits, "_LIMITS", ContextVar("few", default=few))
+    with open_log(path) as opened, pytest.raises(LogLimitError, match=r"6 messages, at most 5.*--no-limits"):
+        list(opened.messages())
+    with lifted(), open_log(path) as opened:
+        assert len(list(opened.messages())) > 5
+
+
+class Counted(BytesIO):
+    read_bytes = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        self.read_bytes += len(found)
+        return found
+
+
+def test_a_search_for_records_among_candidates_as_long_as_the_file_is_given_up(monkeypatch):
+    monkeypatch.setattr(salvage, "limits", lambda: LogLimits(content_bytes=MIB, ratio=2.0))
+    candidate = b"\x03" + (90_000).to_bytes(8, "little")
+    stream = Counted(MAGIC + 20_000 * candidate)
+    (found,) = salvage.scan(stream)
+    assert isinstance(found, salvage.DamagedChunk)
+    assert found.over_limit
+    assert stream.read_bytes < 3 * MIB
 
 
 @pytest.mark.parametrize("name", ["1a/msg/B", "a/msg/B'):\n  raise SystemExit", "a/msg/class", "a/msg/C d"])

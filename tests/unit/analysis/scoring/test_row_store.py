@@ -115,3 +115,12 @@ def test_tables_of_the_minutes_are_the_parts_of_the_wholes(cut):
     whole = run.whole()
     for table in (truth_table, joined_table):
         assert_frame_equal(pl.concat([table(minute) for minute in run]), table(whole), rel_tol=1e-12)
+
+
+def test_one_long_reason_does_not_make_all_statuses_long(tmp_path):
+    """An array of texts takes for each as much as for the longest: 260 kB for one of 65,000 characters."""
+    run = SyntheticRun(frame=lambda number, _: Frame(reason="x" * 60_000 if number == 3 else ""))
+    with open_log(run.write(tmp_path / "run.mcap")) as log:
+        reasons = stream_run(log).whole().statuses.reason
+    assert len(max(reasons, key=len)) == 501
+    assert reasons.itemsize == 4 * 501

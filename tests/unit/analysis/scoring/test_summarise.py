@@ -9,7 +9,7 @@ from synthetic_log import Frame, SyntheticRun
 import rpod_schemas
 from rpod_analysis import open_log, stream_run
 from rpod_analysis.errors import FramesDifferError
-from rpod_analysis.log import Logged
+from rpod_analysis.log import Logged, accounting
 from rpod_analysis.log.accounting import Account, SensorFlow
 from rpod_analysis.scoring.run_checks import assess, find_checks
 from rpod_analysis.scoring.summarise import summarise
@@ -196,6 +196,18 @@ def message(topic, sequence):
 def heartbeat(name, **values):
     values = {key.replace("__", "/"): str(value) for key, value in values.items()}
     return Diagnostic(stamp_ns=0, name=name, level=Health.OK, message="", values=values)
+
+
+def test_counters_without_end_are_bounded_and_those_that_are_known_go_on(monkeypatch):
+    monkeypatch.setattr(accounting, "_MOST_COUNTERS", 10)
+    account = Account()
+    account.take_diagnostic(heartbeat("motion", published__clock=1))
+    for number in range(50):
+        account.take_diagnostic(heartbeat(f"liar{number}", **{f"a{number}": 1, f"b{number}": 1}))
+    account.take_diagnostic(heartbeat("motion", published__clock=7))
+    assert sum(map(len, account.counters.values())) == 10
+    assert len(account.counters) < 10
+    assert account.counters["motion"]["published/clock"] == 7
 
 
 def test_without_a_counter_the_highest_sequence_number_is_what_was_published():

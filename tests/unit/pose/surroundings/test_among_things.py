@@ -346,6 +346,25 @@ def test_a_file_that_is_no_background_is_refused_with_its_name_and_the_remedy(da
         Background.read(file)
 
 
+def test_a_background_that_unpacks_to_gigabytes_or_is_damaged_inside_is_one_error(tmp_path):
+    good, ones = tmp_path / "b.npz", np.ones((10, 20), np.float32)
+    Background(ones, ones).write(good)
+    data = bytearray(good.read_bytes())
+    name, extra = (int.from_bytes(data[at : at + 2], "little") for at in (26, 28))
+    data[30 + name + extra] = 0x07  # a kind of block that no compression has
+    (tmp_path / "damaged.npz").write_bytes(data)
+    data = bytearray(good.read_bytes())
+    at = data.index(b"PK\x01\x02") + 24
+    data[at : at + 4] = (2**31).to_bytes(4, "little")
+    (tmp_path / "bomb.npz").write_bytes(data)
+    with pytest.raises(KnownSurroundingsError, match=r"damaged\.npz cannot be read"):
+        Background.read(tmp_path / "damaged.npz")
+    with pytest.raises(
+        KnownSurroundingsError, match=r"bomb\.npz cannot be read: it holds 2,147,48\d,\d+ bytes"
+    ):
+        Background.read(tmp_path / "bomb.npz")
+
+
 def test_a_background_of_another_size_is_refused_with_both_sizes(tmp_path):
     Background(np.ones((10, 20), np.float32), np.ones((10, 20), np.float32)).write(tmp_path / "b.npz")
     parts = KnownParts.of(SensorSurroundings(background="b.npz"), PmdFrames(), tmp_path)
