@@ -9,11 +9,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.filter.prediction import constant_twist
+from rpod_pose.navigation.filter.state import Motion
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.ports import Acquisition, Candidate, Candidates, Methods, Registration
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.estimator import EstimatorSettings, NavigatorConfig, PmdInput
+from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, NavigatorConfig, PmdInput
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Mode, Source
@@ -211,3 +214,52 @@ def lost(**limits: float) -> Rig:
     made = tracking(**limits)
     assert made.tick(START_S + 6.0) is not None
     return made
+
+
+class Desk:
+    """A navigator with a LIDAR and a camera."""
+
+    def __init__(self, *, range_m=None, mount_sigma_deg: float = 0.0, **limits: float) -> None:
+        self.settings = settings = EstimatorSettings(
+            sensors=(LidarInput(), PmdInput(range_m=range_m)),
+            navigator=NavigatorConfig(**limits),
+            filter=FilterConfig(mount_sigma_deg=mount_sigma_deg, mount_sigma_m=0.1 * mount_sigma_deg),
+        )
+        self.asked: dict[str, Method] = {"lidar": Method(), "pmd": Method()}
+        methods = {
+            name: Methods(VerifiedSearch(method, method, "first"), method, lambda data, *_, **__: data)
+            for name, method in self.asked.items()
+        }
+        self.navigator = Navigator(settings, methods, centre_of_mass_m=np.zeros(3))
+        self.state = self.navigator.start()
+
+    def see(self, sensor: str, view: View):
+        self.asked[sensor].asked.clear()
+        self.state, output = self.navigator.step(self.state, Measurement(sensor, view, MOUNT))
+        return output
+
+    def tick(self, time_s: float):
+        self.state, output = self.navigator.step(self.state, Tick(round(time_s * SECOND_NS)))
+        return output
+
+
+def tracking_by_lidar(until_s: int = 3, **limits: float) -> Desk:
+    """Return a desk that tracks by its LIDAR from ``START_S`` on, 3 s if nothing else is said."""
+    desk = Desk(**limits)
+    for number in range(until_s + 1):
+        desk.see("lidar", good(START_S + number))
+    assert desk.state.mode == Mode.TRACKING
+    return desk
+
+
+class Slow:
+    """A model of motion that takes the longer, the farther it predicts: it is not asked for long steps."""
+
+    states_noise = False, False
+
+    def __init__(self, longest_s: float) -> None:
+        self.longest_s = longest_s
+
+    def __call__(self, state: FilterState, step_s: float, config: FilterConfig) -> Motion:
+        assert step_s <= self.longest_s
+        return constant_twist(state, step_s, config)

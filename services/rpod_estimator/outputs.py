@@ -68,7 +68,7 @@ class Outputs:
             self._pose.publish(write_pose_stamped(odometry))
             for publisher, T_target_frame in self._frames:
                 publisher.publish(write_pose_stamped(odometry, T_child_frame=T_target_frame))
-            if odometry.stamp_ns - self._tf_ns >= _TF_PERIOD_NS:
+            if not 0 <= odometry.stamp_ns - self._tf_ns < _TF_PERIOD_NS:  # also after a clock was set back
                 self._tf_ns = odometry.stamp_ns
                 transform = (CHASER, TARGET_ESTIMATE, odometry.pose)
                 self._tf.publish(write_transforms(odometry.stamp_ns, [transform]))

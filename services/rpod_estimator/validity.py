@@ -78,6 +78,8 @@ class Validity:
             self._mode = output.status.mode
             self.newest_ns = max(self.newest_ns, _newest_ns(output, arrived))
             if output.odometry is not None:
+                if output.odometry.stamp_ns < self._stamp_ns:  # a reset after a clock was set back
+                    self._measured_ns = 0
                 self._stamp_ns, self._unusable = output.odometry.stamp_ns, output.unusable
             if arrived is not None:
                 self._take_frame(output, arrived, now_s)

@@ -63,18 +63,14 @@ class Imu:
             rate_rad_s=state.chaser_angular_rad_s + self.gyro_bias_rad_s + self._rate_sigma * noise[0],
             rate_variance=self._rate_sigma**2,
             force_m_s2=force,
+            force_variance=(config.acceleration_noise_m_s_sqrt_s or 0.0) ** 2 * config.rate_hz,
             R_orbit_chaser=attitude,
             attitude_variance=radians(config.star_tracker_sigma_deg or 0.0) ** 2,
         )
 
     def message(self, stamp_ns: int, time_s: float) -> object:
         """Return the sensor_msgs/Imu of a reading."""
-        config = self._config
-        force_variance = (config.acceleration_noise_m_s_sqrt_s or 0.0) ** 2 * config.rate_hz
-        return write_imu(
-            self.reading(stamp_ns, time_s),
-            force_variance=force_variance,
-        )
+        return write_imu(self.reading(stamp_ns, time_s))
 
     def _force_m_s2(self, time_s: float, state: MotionState) -> FloatArray:
         """Return the specific force of the chaser, chaser axes, shape (3,)."""

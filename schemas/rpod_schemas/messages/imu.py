@@ -24,6 +24,7 @@ def read_imu(message: Any) -> ImuReading:
         )
     rate_variance = _variance(message.angular_velocity_covariance, "angular velocity")
     attitude_variance = _variance(message.orientation_covariance, "orientation")
+    force_variance = _variance(message.linear_acceleration_covariance, "linear acceleration")
     if rate_variance is None:
         raise MessageRejectedError(Reason.MALFORMED, "angular velocity is absent; the estimator needs it")
     return build(
@@ -32,17 +33,14 @@ def read_imu(message: Any) -> ImuReading:
         frame_id=message.header.frame_id,
         rate_rad_s=read_vector(message.angular_velocity),
         rate_variance=rate_variance,
-        force_m_s2=(
-            read_vector(message.linear_acceleration)
-            if message.linear_acceleration_covariance[0] != _ABSENT
-            else None
-        ),
+        force_m_s2=None if force_variance is None else read_vector(message.linear_acceleration),
+        force_variance=force_variance or 0.0,
         R_orbit_chaser=None if attitude_variance is None else read_rotation(message.orientation),
         attitude_variance=attitude_variance or 0.0,
     )
 
 
-def write_imu(reading: ImuReading, *, force_variance: float = 0.0) -> Any:
+def write_imu(reading: ImuReading) -> Any:
     """Return a sensor_msgs/Imu; variances of 0 are not stated."""
     attitude, force = reading.R_orbit_chaser, reading.force_m_s2
     return message_class("sensor_msgs/msg/Imu")(
@@ -52,7 +50,7 @@ def write_imu(reading: ImuReading, *, force_variance: float = 0.0) -> Any:
         angular_velocity=write_vector(reading.rate_rad_s),
         angular_velocity_covariance=_covariance(reading.rate_variance),
         linear_acceleration=write_vector(force if force is not None else np.zeros(3)),
-        linear_acceleration_covariance=_covariance(force_variance if force is not None else None),
+        linear_acceleration_covariance=_covariance(reading.force_variance if force is not None else None),
     )
 
 

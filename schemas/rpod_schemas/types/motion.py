@@ -35,6 +35,8 @@ class ImuReading(Stamped):
     """Mean variance of the rate about the three axes, (rad/s)^2; 0 if it is not stated."""
     force_m_s2: Annotated[Vector3, bounded(ACCELERATION_M_S2)] | None = None
     """Specific force: acceleration without that of gravity, shape (3,)."""
+    force_variance: Annotated[float, bounded(VARIANCE)] = 0.0
+    """Mean variance of the specific force along the three axes, (m/s2)^2; 0 if it is not stated."""
     R_orbit_chaser: Attitude | None = None
     """Attitude in the orbital frame (ICD section 1)."""
     attitude_variance: Annotated[float, bounded(VARIANCE)] = 0.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import POSE, FilterState, predict
-from rpod_pose.navigation.sensors.streams import is_supported, supporters, unsupported_s
+from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
@@ -38,10 +38,10 @@ class Coasting:
         silent = f"no measurement was accepted for {unsupported_s(state.streams, stamp_ns):.2f} s"
         newest = state.history.state
         if beyond := self._beyond(state, predict(newest, max(stamp_ns, newest.stamp_ns), self._config)):
-            return replace(state, mode=Mode.LOST, lost_ns=stamp_ns), f"{silent}, {beyond}"
+            return state.lost(stamp_ns, left=newest), f"{silent}, {beyond}"
         if state.mode == Mode.COASTING:
             return state, ""
-        return replace(state, mode=Mode.COASTING), silent
+        return replace(state, mode=Mode.COASTING, unseen_ns=supported_ns(state.streams)), silent
 
     def _is_supported(self, state: NavigatorState, stamp_ns: int) -> bool:
         return is_supported(

@@ -7,7 +7,6 @@ from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.state import NavigatorState
 from rpod_schemas.config.estimator.filter import FilterConfig
-from rpod_schemas.types import Mode
 
 
 def challenged(
@@ -33,7 +32,7 @@ def challenged(
         return replace(state, challenger=challenger), outcome
     state = replace(state, challenger=None)
     if outcome == Outcome.LOST:
-        return replace(state, mode=Mode.LOST, lost_ns=measured.stamp_ns), outcome
+        return state.lost(measured.stamp_ns, seen=True), outcome
     return replace(
         state,
         history=challenger.history,

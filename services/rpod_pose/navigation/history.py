@@ -7,12 +7,17 @@ same, bit for bit, as if they had arrived in order. The newest stamp never goes 
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from math import inf
 from typing import NamedTuple
 
 from rpod_pose.navigation.dynamics.manoeuvre import explaining, followed, is_expected
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
+
+KEPT_S = 1.0
+"""Least time of the past that is kept, s. Numerics: longer than that of the newest frames, which the
+integrity leaves out together (``group_s``)."""
 
 
 class Applied(NamedTuple):
@@ -64,9 +69,27 @@ class History:
         place = self.place(stamp_ns)
         return self.steps[place - 1].outcome.state if place else self.origin
 
+    def without_newest(self, stamp_ns: int) -> FilterState | None:
+        """Return the state after the last measurement up to a stamp; None if the filter began later.
+
+        Unlike ``before``, it does not depend on the delay up to which measurements are applied.
+        """
+        place = self.place(stamp_ns)
+        if place:
+            return self.steps[place - 1].outcome.state
+        return self.origin if stamp_ns >= self.origin.stamp_ns else None
+
     def place(self, stamp_ns: int) -> int:
         """Return the index after the last step up to a stamp, equal stamps included."""
         return bisect_right(self.steps, stamp_ns, key=lambda step: step.measurement.stamp_ns)
+
+    def since_s(self, stamp_ns: int, sensor: str) -> float:
+        """Return the time from a sensor's accepted measurement before a stamp; infinite if it is unknown."""
+        for step in reversed(self.steps[: self.place(stamp_ns)]):
+            measured = step.measurement
+            if step.outcome.accepted and measured.origin is not None and measured.origin.sensor == sensor:
+                return (stamp_ns - measured.stamp_ns) * 1e-9
+        return inf
 
     def applied_at(self, stamp_ns: int, sensor: str) -> Step | None:
         """Return the step with the newest measurement by a sensor at a stamp; None if there is none."""
@@ -79,8 +102,9 @@ class History:
         return None
 
     def pruned(self, config: FilterConfig) -> "History":
-        """Return this history without the steps that are too old for any late measurement."""
-        first = self.place(self._oldest_ns(config) - 1)
+        """Return this history without the steps that are too old to be of use."""
+        kept_s = max(config.max_delay_s, KEPT_S)
+        first = self.place(self.state.stamp_ns - round(kept_s * 1e9) - 1)
         return History(self.steps[first - 1].outcome.state, self.steps[first:]) if first else self
 
     def _oldest_ns(self, config: FilterConfig) -> int:
@@ -109,6 +133,12 @@ def apply(
     return Applied(History(history.origin, tuple(steps)).pruned(config), own.nis, own.accepted)
 
 
+def after(before: FilterState, measurement: PoseMeasurement, config: FilterConfig) -> FilterState:
+    """Return a state after a measurement that is not older, gated and applied as in a history."""
+    predicted = predict(before, measurement.stamp_ns, config)
+    return _applied(measurement, before, predicted, config).outcome.state
+
+
 def _applied(
     measurement: PoseMeasurement, before: FilterState, predicted: FilterState, config: FilterConfig
 ) -> Step:
@@ -125,5 +155,5 @@ def _applied(
             if again.accepted:
                 predicted, outcome = raised, again
     if outcome.accepted:
-        outcome = outcome._replace(state=followed(before, outcome, measurement, config))
+        outcome = outcome._replace(state=followed(before, predicted, outcome, measurement, config))
     return Step(measurement, predicted, outcome)

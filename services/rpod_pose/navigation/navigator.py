@@ -154,7 +154,7 @@ class Navigator:
         """Process a measurement: with rivals, without a pose, or with a predicted pose."""
         if state.rivals is not None:
             return self._track_rivals(state, state.rivals, event)
-        if state.mode == Mode.ACQUIRING or state.history is None:
+        if state.mode == Mode.ACQUIRING or state.history is None or self._gave_up(state, event):
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
@@ -288,7 +288,7 @@ class Navigator:
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
             if not state.established:  # a given pose that the first frame does not confirm
-                state = replace(state, mode=Mode.ACQUIRING, history=None)
+                state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
                 search = replace(search, frame=event.data)
             return self._start_search(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
@@ -311,7 +311,7 @@ class Navigator:
         state = replace(state, records={**state.records, event.sensor: record})
         if tracked and record.share > self._limits.tuning.max_contradicted_share:
             share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
-            state = replace(state, mode=Mode.LOST, lost_ns=event.stamp_ns)
+            state = state.lost(event.stamp_ns)
             why = reason or registration.belief.reason or "the newest frame does"
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
@@ -322,7 +322,7 @@ class Navigator:
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
             if proven:
-                started = self._beginning.filter_at(measured)
+                started = self._beginning.filter_at(measured, predicted)
                 state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
                 if outcome == Outcome.LOST:
                     return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
@@ -363,17 +363,20 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Continue with the prediction; drop a pose that fails verification."""
         if state.mode == Mode.VERIFYING:
-            state = replace(state, mode=Mode.ACQUIRING, history=None)
+            state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     # --- LOST ---
+
+    def _gave_up(self, state: NavigatorState, event: Measurement) -> bool:
+        """Return whether a lost track is too old to be predicted, which would take longer and longer."""
+        lost_s = (event.stamp_ns - state.lost_ns) / NANOSECONDS
+        return state.mode == Mode.LOST and lost_s > self._limits.near_search_s
 
     def _recover(
         self, state: NavigatorState, predicted: FilterState, event: Measurement
     ) -> tuple[NavigatorState, Output]:
         """Search near the prediction first, then everywhere."""
-        if (event.stamp_ns - state.lost_ns) / NANOSECONDS > self._limits.near_search_s:
-            return self._acquire(state, event)
         registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
             why = self._ranges.not_of(event.sensor, registration)

@@ -31,27 +31,35 @@ class ParallelTracks:
     """Starts and continues the tracks of rivals.
 
     Args:
-        start: starts a filter at a measured pose.
+        start: starts a filter at a measured pose, with what stays of the filter before it, if any.
         config: configuration of the filter.
         alike: which attitudes no measurement distinguishes.
     """
 
     def __init__(
-        self, start: Callable[[PoseMeasurement], FilterState], config: FilterConfig, alike: Equivalence
+        self,
+        start: Callable[[PoseMeasurement, FilterState | None], FilterState],
+        config: FilterConfig,
+        alike: Equivalence,
     ) -> None:
         self._start = start
         self._config = config
         self._alike = alike
 
-    def started(self, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
-        """Return a rival for each pose that explains a frame, best first; empty if none does."""
+    def started(
+        self, event: Measurement, found: Acquisition, past: FilterState | None = None
+    ) -> tuple[Rival, ...]:
+        """Return a rival for each pose that explains a frame, best first; empty if none does.
+
+        ``past`` is the filter of the track before them, if there was one that stays of use.
+        """
         if found.pose is None:
             return ()
         measured = as_measured(found.registration, event)
         rivals = []
         for each in found.hypotheses:
             pose = chained(event.T_chaser_sensor, each.pose)
-            filtered = self._start(replace(measured, T_chaser_target=pose))
+            filtered = self._start(replace(measured, T_chaser_target=pose), past)
             rivals.append(Rival(History(filtered), each.log_likelihood))
         return distinct(rivals, self._alike)
 
@@ -67,7 +75,9 @@ class ParallelTracks:
             registration = methods.tracker.track(frame, prediction)
             if registration.T_sensor_target is None or not registration.continues_track:
                 continue
-            applied = apply(rival.history, as_measured(registration, event), self._config, predicted)
+            since_s = rival.history.since_s(event.stamp_ns, event.sensor)
+            measured = replace(as_measured(registration, event), since_s=since_s)
+            applied = apply(rival.history, measured, self._config, predicted)
             if applied.accepted:
                 left.append(replace(rival, history=applied.history))
                 seen.append((frame, registration))
@@ -88,14 +98,16 @@ class ParallelTracks:
             seen[of_best][1],
         )
 
-    def also_found(self, rivals: Rivals, event: Measurement, found: Acquisition) -> tuple[Rival, ...]:
+    def also_found(
+        self, rivals: Rivals, event: Measurement, found: Acquisition, past: FilterState | None = None
+    ) -> tuple[Rival, ...]:
         """Return the poses that a search has found while rivals are tracked, at the rivals' newest stamp.
 
         The first search may have missed the right pose, or its track may have been lost since. If the rivals
         are newer than the searched frame, the poses are predicted to them with the twist of the best rival.
         """
         best = rivals.tracks[0].state
-        others = self.started(event, found)
+        others = self.started(event, found, past)
         if best.stamp_ns <= event.stamp_ns:
             return others
         return tuple(

@@ -33,7 +33,7 @@ from rpod_pose.navigation.filter import (
     start,
     update,
 )
-from rpod_pose.navigation.filter.blocks import averaged
+from rpod_pose.navigation.filter.blocks import Known, averaged, variances, with_known
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.pose_evidence import ErrorParts
 from rpod_schemas.arrays import FloatArray
@@ -100,11 +100,17 @@ def started(
     centre_of_mass_m: FloatArray | None = None,
     alike: Equivalence = NO_SYMMETRY,
     blocks: Sequence[Block] = (),
+    known: Known | None = None,
     model: MotionModel | None = None,
 ) -> FilterState:
-    """Return the state after a first measured pose, with an unknown twist; arguments as for ``start``."""
-    shared = shared_errors(measured, config)
-    known = {block.name for block in blocks}
+    """Return the state after a first measured pose, with an unknown twist; arguments as for ``start``.
+
+    ``known`` has blocks as a filter before knows them; None for none.
+    """
+    shared = shared_errors(measured, config, () if known is None else known.blocks)
+    names = {block.name for block in blocks}
+    chosen = (*blocks, *(block for block in shared.blocks if block.name not in names))
+    merged = Known(chosen, np.diag(variances(chosen))) if known is None else with_known(chosen, known)
     sigma = np.repeat([config.initial_velocity_sigma_m_s, radians(config.initial_rate_sigma_deg_s)], 3)
     return start(
         measured.T_chaser_target,
@@ -113,7 +119,8 @@ def started(
         config=config,
         centre_of_mass_m=centre_of_mass_m,
         alike=alike,
-        blocks=(*blocks, *(block for block in shared.blocks if block.name not in known)),
+        blocks=merged.blocks,
+        of_blocks=merged.covariance,
         sensitivities=shared.sensitivities,
         white=shared.white,
         model=model,
@@ -190,6 +197,11 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
         more = back @ _root(stated - block.spread)
         noise = noise + more @ more.T
     return Shared(symmetric(noise), white=True, blocks=tuple(blocks), sensitivities=by)
+
+
+def is_of_sensor(block: str) -> bool:
+    """Return whether a block of this name is of a sensor's mount or calibration, whatever is seen."""
+    return block.startswith((MOUNT.format(""), _CALIBRATION.format("")))
 
 
 def mount_of(sensor: str, config: FilterConfig) -> Block:

@@ -7,12 +7,13 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
+from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.first_pose.searches import AGE_S, SEARCHING, Search
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.joining import Separation
-from rpod_pose.navigation.sensors.streams import Stream
+from rpod_pose.navigation.sensors.streams import Stream, supported_ns
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odometry, Source
@@ -45,6 +46,11 @@ class NavigatorState:
     """The filters with and without the sensors that are not established; None if there are none."""
     lost_ns: int = 0
     """Stamp at which the target was lost."""
+    before_loss: FilterState | None = None
+    """Filter of the track that was lost, if only no frame supported it; None if frames contradicted it."""
+    unseen_ns: int | None = None
+    """Stamp of the last accepted frame before the newest time in which no frame showed the target where the
+    track has it; None if there was none."""
     shown_ns: int = 0
     """Newest stamp of a published odometry; the stamps of the output never go back."""
     confirmations: int = 0
@@ -58,6 +64,17 @@ class NavigatorState:
     track ends."""
     searches: Mapping[str, Search] = field(default_factory=dict)
     """Searches whose results are awaited, by the sensor's name."""
+
+    def lost(self, stamp_ns: int, *, left: FilterState | None = None, seen: bool = False) -> "NavigatorState":
+        """Return this state where the target is lost.
+
+        Args:
+            stamp_ns: stamp at which it is lost.
+            left: filter of the track, if no frame has contradicted it.
+            seen: whether believed poses show the target elsewhere.
+        """
+        unseen_ns = None if seen else supported_ns(self.streams)
+        return replace(self, mode=Mode.LOST, lost_ns=stamp_ns, before_loss=left, unseen_ns=unseen_ns)
 
     def searching(self, search: Search) -> "NavigatorState":
         """Return this state while the result of a search is awaited."""

@@ -82,3 +82,18 @@ def test_a_status_beyond_the_bounds_is_not_sent_and_told_with_the_fields_name():
     assert (sent.sensor, sent.accepted) == ("pmd", False)
     assert "cost_m2 is -1" in sent.reason
     assert "cost_m2 is -1" in kept.node.health.rejection("estimate/status")
+
+
+def test_the_transform_is_sent_25_times_a_second_and_at_once_after_a_clock_was_set_back():
+    kept = KeptMessages()
+    outputs = Outputs(kept.node, "estimate", SimpleNamespace(frames={}, joints=()))
+    sent = []
+    for stamp_ns in (4_000_000_000, 4_010_000_000, 4_050_000_000, 1_000_000_000, 1_010_000_000):
+        status = EstimatorStatus(stamp_ns=stamp_ns, frame_id="chaser", mode=Mode.TRACKING, sensor="pmd")
+        odometry = Odometry(
+            stamp_ns=stamp_ns, frame_id="chaser", child_frame_id="target_estimate", pose=POSE,
+            linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
+        )  # fmt: skip
+        outputs.publish_estimate(Output(status, odometry), VALID)
+        sent.append(len(kept.of("tf")))
+    assert sent == [1, 1, 2, 3, 3]

@@ -168,3 +168,10 @@ def test_where_time_comes_from_the_bus_the_age_counts_to_the_newest_stamp_whatev
             assert told.age_s == pytest.approx(max(number - 12, 0) / 10, abs=1e-6)
             assert told.valid == (number < 15), told.reason
     assert clock.now_ns() == 0
+
+
+def test_after_a_clock_was_set_back_and_a_reset_the_age_is_that_of_the_new_stamps():
+    validity = Validity(0.2)
+    fed(validity, start_s=5_000.0)
+    last_s = fed(validity, start_s=100.0)
+    assert at(validity, last_s + 0.1).age_s == pytest.approx(0.1)

@@ -16,6 +16,7 @@ WHOLE = ImuReading(
     rate_rad_s=np.array([0.01, -0.02, 0.03]),
     rate_variance=4e-8,
     force_m_s2=np.array([0.1, 0.0, -0.2]),
+    force_variance=9e-6,
     R_orbit_chaser=Rotation.from_euler("zyx", [0.3, -0.2, 1.0]),
 )
 
@@ -30,6 +31,7 @@ def wired(reading, **changes):
 def test_a_reading_survives_the_wire():
     got = read_imu(wired(WHOLE))
     assert (got.stamp_ns, got.rate_variance) == (WHOLE.stamp_ns, pytest.approx(WHOLE.rate_variance))
+    assert got.force_variance == pytest.approx(WHOLE.force_variance)
     np.testing.assert_array_equal(got.rate_rad_s, WHOLE.rate_rad_s)
     np.testing.assert_array_equal(got.force_m_s2, WHOLE.force_m_s2)
     assert (got.R_orbit_chaser * WHOLE.R_orbit_chaser.inv()).magnitude() < 1e-12
@@ -40,7 +42,7 @@ def test_what_is_not_measured_is_absent():
     got = read_imu(wired(bare))
     assert got.force_m_s2 is None
     assert got.R_orbit_chaser is None
-    assert got.rate_variance == 0.0
+    assert got.rate_variance == got.force_variance == 0.0
 
 
 @pytest.mark.parametrize(
@@ -48,9 +50,10 @@ def test_what_is_not_measured_is_absent():
     [
         ({"angular_velocity_covariance": np.full(9, -1.0)}, Reason.MALFORMED, "absent"),
         ({"angular_velocity_covariance": np.full(9, np.nan)}, Reason.NOT_FINITE, "covariance"),
+        ({"linear_acceleration_covariance": np.full(9, np.nan)}, Reason.NOT_FINITE, "linear acceleration"),
     ],
 )
-def test_a_reading_without_a_usable_rate_is_rejected(changes, reason, text):
+def test_a_reading_without_a_usable_rate_or_covariance_is_rejected(changes, reason, text):
     with pytest.raises(MessageRejectedError, match=text) as raised:
         read_imu(wired(WHOLE, **changes))
     assert raised.value.reason == reason

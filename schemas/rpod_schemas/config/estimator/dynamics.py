@@ -45,6 +45,10 @@ class DynamicsTuning(Tuning):
         Positive, Provenance("physics", "0.15 deg/sqrt(h), a tactical MEMS gyro (STIM300 data sheet)")
     ] = 0.0025
     """Angular random walk of a gyro whose readings do not state their variance, deg/sqrt(s)."""
+    accelerometer_noise_m_s_sqrt_s: Annotated[
+        Positive, Provenance("physics", "0.06 m/s/sqrt(h), a tactical MEMS accelerometer")
+    ] = 0.001
+    """Velocity random walk of an accelerometer whose readings do not state their variance, m/s/sqrt(s)."""
     gyro_bias_walk_deg_s_sqrt_s: Annotated[
         Positive, Provenance("physics", "0.3 deg/h, its bias instability (STIM300 data sheet), in 1,000 s")
     ] = 2.6e-6

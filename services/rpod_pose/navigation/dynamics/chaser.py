@@ -43,6 +43,10 @@ class ChaserStep(NamedTuple):
     """Share of the gyro's bias that remains at the end of a step in which a star tracker corrects it."""
     bias_noise: float = 0.0
     """Variance about each axis of the noise that is added to this share, (rad/s)^2."""
+    speed_variance: float = 0.0
+    """Variance of ``speed_m_s`` along each axis, by the noise of the accelerometer, (m/s)^2."""
+    rate_variance: float = 0.0
+    """Variance of ``rate_after_rad_s`` about each axis, by the noise of the gyro, (rad/s)^2."""
 
 
 class Chaser(Protocol):

@@ -86,6 +86,14 @@ class FreeMotion:
     angular_acceleration_density_rad2_s3: float | None = None
     """Spectral density of the angular accelerations that are not modelled; None for that of the filter."""
 
+    @property
+    def states_noise(self) -> tuple[bool, bool]:
+        """Whether it states the noise of accelerations and of angular accelerations itself."""
+        return (
+            self.acceleration_density_m2_s3 is not None,
+            self.angular_acceleration_density_rad2_s3 is not None,
+        )
+
     def __call__(self, state: FilterState, step_s: float, config: FilterConfig) -> Motion:
         """Return the state after a step, and the propagation of its errors."""
         extras = _Extras.of(state)
@@ -127,14 +135,14 @@ class FreeMotion:
         Q[MOTION, MOTION] += _of_curvature(curved.spread, R_after, W_after)
 
         arm_m, w = R_after @ extras.centre_m, W_after - after_rad_s
-        velocity_m_s = u - np.cross(after_rad_s, q) - np.cross(w, arm_m)
         back = _from_centre(extras, state.size, R_after, q=q, arm_m=arm_m, w=w, chaser_rad_s=after_rad_s)
         after = replace(
             state,
             T_chaser_target=pose_of(R_after, q - arm_m),
-            velocity_m_s=velocity_m_s,
+            velocity_m_s=u - np.cross(after_rad_s, q) - np.cross(w, arm_m),
             rate_rad_s=w,
             blocks=_faded(state, step_s, chaser, turned_rad),
+            chaser_rate_variance=chaser.rate_variance,
         )
         return Motion(after, F @ to_centre, Q, back)
 
@@ -189,6 +197,8 @@ class FreeMotion:
         )
         chosen = [one if one is not None else other for one, other in zip(own, filtered, strict=True)]
         noise = process_noise(step_s, *chosen)
+        if self.uses_force:
+            noise = noise + process_noise(step_s, chaser.speed_variance / step_s, 0.0)
         if chaser.unknown_s > 0.0:
             noise = noise + process_noise(min(chaser.unknown_s, step_s), *filtered)
         return noise

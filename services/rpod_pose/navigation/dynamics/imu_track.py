@@ -45,6 +45,12 @@ class _Sum:
     way_m: FloatArray
     variance: float
     """Variance of the turn about each axis."""
+    speed_variance: float
+    """Variance of the speed along each axis."""
+    density: float
+    """Rise of the variance of the turn in a second, which goes on until the next reading."""
+    force_density: float
+    """The same of the speed."""
     unknown_s: float
     angle_rad: FloatArray
     """Integral of the rate without the known bias, component by component, for its mean."""
@@ -61,6 +67,7 @@ class ImuTrack:
 
     Args:
         noise_rad_sqrt_s: angular random walk of a gyro whose readings do not state their variance.
+        force_noise_m_s_sqrt_s: velocity random walk of an accelerometer whose readings do not state theirs.
         R_orbit_chaser: attitude in the orbital frame, used if readings state none; None if it is unknown.
         orbit_rate_rad_s: rate of the orbit; None if attitudes are not used to estimate the gyro's bias.
         bias_sigma_rad_s: standard deviation of the gyro's bias before any attitude.
@@ -72,11 +79,13 @@ class ImuTrack:
         noise_rad_sqrt_s: float = 0.0,
         R_orbit_chaser: FloatArray | None = None,
         *,
+        force_noise_m_s_sqrt_s: float = 0.0,
         orbit_rate_rad_s: float | None = None,
         bias_sigma_rad_s: float = 0.0,
         bias_walk_rad_s_sqrt_s: float = 0.0,
     ) -> None:
         self._noise, self._walk = noise_rad_sqrt_s**2, bias_walk_rad_s_sqrt_s**2
+        self._force_noise = force_noise_m_s_sqrt_s**2
         self._attitude, self._orbit_rate_rad_s = R_orbit_chaser, orbit_rate_rad_s
         self._unknown = GyroBias.unknown(bias_sigma_rad_s)
         self._begin_ns = 0
@@ -109,17 +118,19 @@ class ImuTrack:
             nothing, none = np.zeros((3, 3)), np.zeros(3)
             found = _Sum(
                 reading.stamp_ns, reading.rate_rad_s, force, np.eye(3), nothing, nothing, none, none, 0.0,
-                0.0, none, attitude, self._unknown,
+                0.0, self._noise, self._force_noise, 0.0, none, attitude, self._unknown,
             )  # fmt: skip
         else:
             step_s = (reading.stamp_ns - last.stamp_ns) * 1e-9
             density = reading.rate_variance * step_s if reading.rate_variance else self._noise
+            force_density = reading.force_variance * step_s if reading.force_variance else self._force_noise
             found = _extended(
                 last,
                 stamp_ns=reading.stamp_ns,
                 rate_rad_s=reading.rate_rad_s,
                 force_m_s2=force,
                 density=density,
+                force_density=force_density,
                 attitude=attitude,
             )
             bias = last.bias.after(
@@ -171,6 +182,8 @@ class ImuTrack:
             R_orbit_chaser=a.R_orbit_chaser,
             bias_kept=kept,
             bias_noise=b.bias.variance * (1.0 - kept),
+            speed_variance=max(b.speed_variance - a.speed_variance, 0.0),
+            rate_variance=self._rate_variance(b),
         )
 
     def _at(self, stamp_ns: int) -> _Sum:
@@ -184,7 +197,8 @@ class ImuTrack:
             stamp_ns=stamp_ns,
             rate_rad_s=before.rate_rad_s,
             force_m_s2=before.force_m_s2,
-            density=self._noise,
+            density=before.density,
+            force_density=before.force_density,
             attitude=before.R_orbit_chaser,
         )
 
@@ -199,6 +213,12 @@ class ImuTrack:
         # the means are those at 3/4 and 1/4 of this time before the stamp
         return 1.5 * late - 0.5 * early
 
+    def _rate_variance(self, at: _Sum) -> float:
+        """Return the variance about each axis of ``_mean_rate``, by the noise of the gyro, (rad/s)^2."""
+        before = self._at(at.stamp_ns - round(_RATE_S * 1e9))
+        density = max(at.variance - before.variance, 0.0) / _RATE_S
+        return (1.5**2 + 0.5**2) * density / (0.5 * _RATE_S)
+
 
 def _extended(
     last: _Sum,
@@ -207,6 +227,7 @@ def _extended(
     rate_rad_s: FloatArray,
     force_m_s2: FloatArray,
     density: float,
+    force_density: float,
     attitude: FloatArray | None,
 ) -> _Sum:
     """Return the integrals at another stamp, later or earlier, with the mean of the readings at both ends."""
@@ -225,6 +246,9 @@ def _extended(
         speed_m_s=last.speed_m_s + step_s * force,
         way_m=last.way_m + step_s * last.speed_m_s + 0.5 * step_s**2 * force,
         variance=last.variance + abs(step_s) * density,
+        speed_variance=last.speed_variance + abs(step_s) * force_density,
+        density=density,
+        force_density=force_density,
         unknown_s=last.unknown_s + (step_s if abs(step_s) > _GAP_S else 0.0),
         angle_rad=last.angle_rad + step_s * mean_rad_s,
         R_orbit_chaser=attitude,

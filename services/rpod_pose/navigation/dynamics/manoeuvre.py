@@ -88,7 +88,7 @@ def explaining(
     if step_s <= 0.0:
         return None
     least = needed(before, predicted, measured, config)
-    bound = _bound(step_s, config)
+    bound = greatest(step_s, config)
     found = Manoeuvre(*(max(1.0, min(factor, most)) for factor, most in zip(least, bound, strict=True)))
     return None if found == before.factors else found
 
@@ -111,7 +111,11 @@ def needed(
 
 
 def followed(
-    before: FilterState, found: Update, measured: PoseMeasurement, config: FilterConfig
+    before: FilterState,
+    predicted: FilterState,
+    found: Update,
+    measured: PoseMeasurement,
+    config: FilterConfig,
 ) -> FilterState:
     """Return the state after an accepted pose, with the factors that follow from it.
 
@@ -125,55 +129,68 @@ def followed(
 
     Args:
         before: the state after the previous measurement.
+        predicted: the prediction that the pose met.
         found: the update.
         measured: the pose; if its frame alone does not prove it, it raises no factor.
         config: the filter's configuration.
     """
     state = found.state
     step_s = max((state.stamp_ns - before.stamp_ns) / NANOSECONDS, _SHORTEST_S)
-    keep, bound = exp(-step_s / LAG_S), _bound(step_s, config)
+    keep, bound = exp(-step_s / LAG_S), greatest(step_s, config)
     state = replace(
         state,
         manoeuvre=Manoeuvre(*(max(1.0, 0.5 * factor) for factor in state.manoeuvre)),
         lag=Manoeuvre(*(max(1.0, 0.5 * factor, keep * factor**keep) for factor in state.lag)),
     )
+    sums, factors = [each.faded(keep) for each in state.sums], list(state.lag)
     if not measured.alone:
-        return state
-    sums, factors = list(state.sums), list(state.lag)
+        return replace(state, sums=(sums[0], sums[1]))
     for index, part in enumerate((POSITION, ATTITUDE)):
-        sums[index] = _added(before.sums[index], found.innovation, part, keep)
-        if excess := _excess(sums[index], found.innovation.lasting[part, part], config):
+        sums[index] = _added(predicted.sums[index].faded(keep), sums[index], found.innovation, part)
+        if excess := _excess(sums[index], config):
             sums[index] = NO_INNOVATIONS
-            factors[index] = max(1.0, min(before.factors[index] * excess, bound[index]))
+            if before.may_be_raised[index]:
+                factors[index] = max(1.0, min(before.factors[index] * excess, bound[index]))
     return replace(state, sums=(sums[0], sums[1]), lag=Manoeuvre(*factors))
 
 
-def _added(before: InnovationSum, innovation: Innovation, part: slice, keep: float) -> InnovationSum:
-    """Return a sum with one more innovation; the earlier ones keep the share ``keep`` of their weight."""
+def _added(met: InnovationSum, left: InnovationSum, innovation: Innovation, part: slice) -> InnovationSum:
+    """Return a sum with the innovation of one more pose.
+
+    A filter that only considers errors that last does not leave its innovations independent: each shares
+    with the errors that are left, and these come back in the next ones.
+
+    Args:
+        met: the sum at the prediction that the pose met.
+        left: the same after the update.
+        innovation: that of the pose.
+        part: position or attitude.
+    """
     off, covariance = innovation.difference[part], innovation.covariance[part, part]
+    summed, shared = met.covariance + covariance, left.shared
+    if met.shared is not None:  # the innovation is noise less H times the errors
+        with_it = met.shared_with(innovation.H.shape[1]) @ innovation.H[part].T
+        summed = summed - with_it - with_it.T
+    if innovation.left is not None:
+        shared = left.shared_with(innovation.left.shape[1]) + innovation.left[part]
     return InnovationSum(
-        keep * before.difference + off,
-        keep**2 * before.covariance + covariance,
-        keep**2 * before.squares + _square(off, covariance),
-        keep * before.weights + 1.0,
-        keep**2 * before.squared_weights + 1.0,
+        met.difference + off,
+        summed,
+        met.squares + _square(off, covariance),
+        met.weights + 1.0,
+        met.squared_weights + 1.0,
+        shared,
     )
 
 
-def _excess(found: InnovationSum, lasting: FloatArray, config: FilterConfig) -> float:
+def _excess(found: InnovationSum, config: FilterConfig) -> float:
     """Return the normalised square of a sum over the expected one; 0 if it is within the gate.
 
-    Errors that last are the same in all innovations of the sum, so they are no lag. Poses that are noisier
-    than they state are no lag either: if the innovations' own squares are larger than expected, the expected
-    square of the sum is larger by the same factor.
-
-    Args:
-        found: the sum.
-        lasting: covariance of the errors that last, shape (3, 3).
-        config: the filter's configuration.
+    Poses that are noisier than they state do not count as a lag: where the innovations' own squares are
+    larger than expected, so may be the sum's.
     """
     noisier = max(1.0, found.squares / (_EXPECTED * found.squared_weights))
-    square = _square(found.difference, noisier * found.covariance + found.weights**2 * lasting)
+    square = _square(found.difference, noisier * found.covariance)
     return square / _EXPECTED if square > gate_of(config, 3) else 0.0
 
 
@@ -182,8 +199,8 @@ def _square(difference: FloatArray, covariance: FloatArray) -> float:
     return float(difference @ np.linalg.solve(covariance, difference))
 
 
-def _bound(step_s: float, config: FilterConfig) -> Manoeuvre:
-    """Return the largest factors in a step of ``step_s`` seconds, which limit the variance of the twist."""
+def greatest(step_s: float, config: FilterConfig) -> Manoeuvre:
+    """Return the greatest factors in a step, s, with which the twist is as uncertain as a mission allows."""
     each_axis_s = max(step_s, UNNOTICED_S) / sqrt(3.0)
     most_m_s = min(config.initial_velocity_sigma_m_s, MOST_M_S2 * each_axis_s)
     most_rad_s = radians(min(config.initial_rate_sigma_deg_s, MOST_DEG_S2 * each_axis_s))
@@ -208,8 +225,13 @@ def _grown(before: FilterState, predicted: FilterState, config: FilterConfig) ->
 
 
 def _least(difference: FloatArray, S: FloatArray, grown: FloatArray, part: slice) -> float:
-    """Return the least factor with which a part of an innovation is as large as expected; inf for none."""
+    """Return the least factor with which a part of an innovation is as large as expected; inf if none is.
+
+    It is 1 where the model of motion states its own noise, which no factor raises.
+    """
     off = difference[part]
+    if not grown[part, part].any():
+        return 1.0
     for factor in _STEPS:
         if _square(off, (S + (factor - 1.0) * grown)[part, part]) <= _EXPECTED:
             return float(factor)

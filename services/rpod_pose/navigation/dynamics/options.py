@@ -98,6 +98,7 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
         imu = ImuTrack(
             radians(tuning.gyro_noise_deg_sqrt_s),
             R_orbit_chaser,
+            force_noise_m_s_sqrt_s=tuning.accelerometer_noise_m_s_sqrt_s,
             orbit_rate_rad_s=rate_rad_s,
             bias_sigma_rad_s=bias_sigma,
             bias_walk_rad_s_sqrt_s=radians(tuning.gyro_bias_walk_deg_s_sqrt_s),

@@ -12,6 +12,7 @@ Systems 3, 1966). So an error that many frames share does not average out in the
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import exp, inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +55,14 @@ class Block:
         return exp(-forgotten)
 
 
+class Known(NamedTuple):
+    """Blocks as another filter knows them."""
+
+    blocks: tuple[Block, ...]
+    covariance: FloatArray
+    """Covariance of the errors of their states together, shape (n, n)."""
+
+
 def _periods(length: float, constant: float) -> float:
     if constant > 0.0:
         return length / constant
@@ -70,6 +79,23 @@ def placed(blocks: Sequence[Block], first: int) -> Iterator[tuple[Block, slice]]
 def variances(blocks: Sequence[Block]) -> FloatArray:
     """Return the variances of all states before any measurement, shape (n,)."""
     return np.concatenate([np.zeros(0), *(block.sigma**2 for block in blocks)])
+
+
+def with_known(blocks: Sequence[Block], known: Known) -> Known:
+    """Return blocks with the values and the covariance that another filter knows of them.
+
+    Those that it does not know are as before any measurement. Those that only it knows are added.
+    """
+    told = {block.name: block for block in known.blocks}
+    merged = tuple(
+        replace(block, value=told.pop(block.name).value) if block.name in told else block for block in blocks
+    )
+    merged += tuple(told.values())
+    covariance, places = np.diag(variances(merged)), {each.name: place for each, place in placed(merged, 0)}
+    if known.blocks:
+        there = np.r_[tuple(places[block.name] for block in known.blocks)]
+        covariance[np.ix_(there, there)] = known.covariance
+    return Known(merged, covariance)
 
 
 def unknown(blocks: Sequence[Block]) -> tuple[Block, ...]:

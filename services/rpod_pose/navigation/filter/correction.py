@@ -55,6 +55,9 @@ class Innovation(NamedTuple):
     """Derivatives of the measurement with respect to the states, shape (6, 12 + n)."""
     cross: FloatArray
     """Covariance of the predicted measurement with the states, shape (6, 12 + n)."""
+    left: FloatArray | None = None
+    """Covariance of the difference with the errors that an update leaves, shape (6, 12 + n); None where it is
+    0, and before an update."""
 
 
 def innovation_of(
@@ -147,7 +150,7 @@ def update(
         white=white,
         since_s=since_s,
     )
-    innovation, S, noise, _, H, cross = found
+    innovation, S, noise, H, cross = found.difference, found.covariance, found.noise, found.H, found.cross
     if not (np.isfinite(innovation).all() and np.isfinite(noise).all()):
         return Update(state, float("nan"), accepted=False, innovation=found)
 
@@ -164,7 +167,12 @@ def update(
     reset[ATTITUDE, ATTITUDE] = left_jacobian(correction[ATTITUDE])
     keep = np.eye(state.size) - gain @ H
     joseph = keep @ state.covariance @ keep.T + gain @ noise @ gain.T
-    corrected = replace(state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T))
+    sums = (state.sums[0].moved(reset @ keep), state.sums[1].moved(reset @ keep))
+    corrected = replace(
+        state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T), sums=sums
+    )
+    if any(block.considered for block in state.blocks):  # else the difference tells nothing of what is left
+        found = found._replace(left=(noise @ gain.T - cross @ keep.T) @ reset.T)
     return Update(with_free_axes_unobserved(corrected, config), nis, accepted=True, innovation=found)
 
 

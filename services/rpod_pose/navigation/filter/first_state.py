@@ -8,10 +8,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, observable
-from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
+from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, orthonormal, symmetric
 from rpod_pose.navigation.filter.state import (
+    ATTITUDE,
     MOTION,
     POSE,
+    POSITION,
     RATE,
     VELOCITY,
     FilterState,
@@ -20,7 +22,7 @@ from rpod_pose.navigation.filter.state import (
 )
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
-from rpod_schemas.poses import rotation_matrix
+from rpod_schemas.poses import pose_of, rotation_matrix
 from rpod_target import NO_SYMMETRY, Equivalence
 
 
@@ -33,6 +35,7 @@ def start(
     centre_of_mass_m: FloatArray | None = None,
     alike: Equivalence = NO_SYMMETRY,
     blocks: Sequence[Block] = (),
+    of_blocks: FloatArray | None = None,
     sensitivities: Sensitivities = NOTHING,
     white: bool = False,
     model: MotionModel | None = None,
@@ -47,7 +50,9 @@ def start(
         centre_of_mass_m: centre of mass of the target, target axes, shape (3,); by default its origin.
             For a target with one free axis only the component along this axis is used, for a sphere none.
         alike: which attitudes of the target no measurement distinguishes.
-        blocks: further states, with their initial values.
+        blocks: further states.
+        of_blocks: covariance of the errors of their values, shape (n, n); None for blocks as before any
+            measurement.
         sensitivities: how the measured pose depends on them, as in ``update``.
         white: as in ``update``.
         model: model of the motion; None for constant velocity and rate.
@@ -65,7 +70,8 @@ def start(
     R = rotation_matrix(T_chaser_target)
     if blocks:
         observable_by = {name: observable(by, R, alike) for name, by in sensitivities.items()}
-        covariance = _with_blocks(covariance, blocks, observable_by)
+        covariance = _with_blocks(covariance, blocks, observable_by, of_blocks)
+        T_chaser_target = _without_known_errors(T_chaser_target, blocks, observable_by)
     from_centre = np.eye(len(covariance))
     from_centre[VELOCITY, RATE] = cross_matrix(R @ centre_m)
     state = FilterState(
@@ -82,16 +88,33 @@ def start(
     return with_free_axes_unobserved(state, config)
 
 
-def _with_blocks(covariance: FloatArray, blocks: Sequence[Block], sensitivities: Sensitivities) -> FloatArray:
+def _with_blocks(
+    covariance: FloatArray,
+    blocks: Sequence[Block],
+    sensitivities: Sensitivities,
+    of_blocks: FloatArray | None,
+) -> FloatArray:
     """Return the covariance of pose, twist and blocks, shape (12 + n, 12 + n).
 
-    The measured pose is the true pose displaced by H b and by noise. The state takes the measured pose and
-    b = 0. So the error of the pose is -H times the error of b, plus noise.
+    The measured pose is the true one moved by H b and noise. The pose is the measured one less H times the
+    known values of b, so that its errors are -H times those of b, and noise.
     """
-    whole = block_diag(covariance, np.diag(variances(blocks)))
+    whole = block_diag(covariance, np.diag(variances(blocks)) if of_blocks is None else of_blocks)
     moved = np.eye(len(whole))
     for block, place in placed(blocks, MOTION.stop):
         if block.name in sensitivities:
             moved[POSE, place] = -sensitivities[block.name]
     found: FloatArray = moved @ whole @ moved.T
     return found
+
+
+def _without_known_errors(
+    T_measured: RigidTransform, blocks: Sequence[Block], sensitivities: Sensitivities
+) -> RigidTransform:
+    """Return a measured pose without the errors that the values of blocks explain."""
+    known = [block for block in blocks if block.name in sensitivities and block.value.any()]
+    if not known:
+        return T_measured
+    moved = np.sum([sensitivities[block.name] @ block.value for block in known], axis=0)
+    R = exponential(-moved[ATTITUDE]) @ rotation_matrix(T_measured)
+    return pose_of(orthonormal(R), T_measured.translation - moved[POSITION])

@@ -13,8 +13,9 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
     """Return the state as an odometry message: twist and its covariance in child axes.
 
     With v_child = R^T v the error is R^T (dv + v x dtheta) to first order, and likewise for the rate, so
-    the twist's covariance includes its correlation with the attitude error. The angle about a free axis has
-    the variance of an unknown angle; the twist is given in the axes that the published attitude has.
+    the twist's covariance includes its correlation with the attitude error. Velocity and rate are relative to
+    the chaser: an error do of its rate moves them by p x do and -do. The angle about a free axis has the
+    variance of an unknown angle; the twist is given in the axes that the published attitude has.
     """
     R = rotation_matrix(state.T_chaser_target)
     R_target_chaser = R.T
@@ -22,6 +23,8 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
     jacobian[0:3, ATTITUDE] = R_target_chaser @ cross_matrix(state.velocity_m_s)
     jacobian[3:6, ATTITUDE] = R_target_chaser @ cross_matrix(state.rate_rad_s)
     jacobian[0:3, VELOCITY] = jacobian[3:6, RATE] = R_target_chaser
+    place = cross_matrix(state.T_chaser_target.translation)
+    by_chaser = np.vstack([R_target_chaser @ place, -R_target_chaser])
     return Odometry(
         stamp_ns=state.stamp_ns,
         frame_id=frame_id,
@@ -32,5 +35,7 @@ def to_odometry(state: FilterState, *, frame_id: str, child_frame_id: str) -> Od
         pose_covariance=state.alike.with_free_variance(
             state.covariance[POSE, POSE].copy(), R, FREE_SIGMA_RAD**2
         ),
-        twist_covariance=symmetric(jacobian @ state.covariance @ jacobian.T),
+        twist_covariance=symmetric(
+            jacobian @ state.covariance @ jacobian.T + state.chaser_rate_variance * by_chaser @ by_chaser.T
+        ),
     )

@@ -55,9 +55,10 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     moved, F, noise, after = (state.model or constant_twist)(state, step_s, _raised(config, state.factors))
     covariance = F @ state.covariance @ F.T + noise
     if after is not None:
-        covariance = after @ covariance @ after.T
+        F, covariance = after @ F, after @ covariance @ after.T
+    sums = (state.sums[0].moved(F), state.sums[1].moved(F))
     return with_free_axes_unobserved(
-        replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance)), config
+        replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance), sums=sums), config
     )
 
 

@@ -1,12 +1,13 @@
 """State of the filter at one time."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.navigation.filter.blocks import Block, placed
+from rpod_pose.navigation.filter.blocks import Block, Known, placed
 from rpod_pose.navigation.filter.rotations import exponential, orthonormal
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -38,6 +39,14 @@ class Motion(NamedTuple):
 class MotionModel(Protocol):
     """A model of the motion of target and chaser."""
 
+    @property
+    def states_noise(self) -> tuple[bool, bool]:
+        """Whether it states the noise of accelerations and of angular accelerations itself.
+
+        Then no ``Manoeuvre`` raises it.
+        """
+        ...
+
     def __call__(self, state: "FilterState", step_s: float, config: FilterConfig) -> Motion:
         """Return the motion of a state in a step of ``step_s`` seconds."""
         ...
@@ -68,7 +77,32 @@ class InnovationSum(NamedTuple):
     weights: float
     """Sum of the weights."""
     squared_weights: float
-    """Sum of the squared weights, by which ``covariance`` and ``squares`` are weighted."""
+    """Sum of the squared weights, which are those of ``covariance`` and ``squares``."""
+    shared: FloatArray | None = None
+    """Its covariance with the errors of the states, shape (3, 12 + n); None where it is 0. It is 0 for the
+    gain that leaves the least errors. A gain that leaves considered blocks alone is none."""
+
+    def faded(self, keep: float) -> "InnovationSum":
+        """Return the sum of which a share is left."""
+        return InnovationSum(
+            keep * self.difference,
+            keep**2 * self.covariance,
+            keep**2 * self.squares,
+            keep * self.weights,
+            keep**2 * self.squared_weights,
+            None if self.shared is None else keep * self.shared,
+        )
+
+    def shared_with(self, size: int) -> FloatArray:
+        """Return the covariance with the errors of as many states, (3, size); new ones share nothing."""
+        found = np.zeros((3, size))
+        if self.shared is not None:
+            found[:, : self.shared.shape[1]] = self.shared
+        return found
+
+    def moved(self, by: FloatArray) -> "InnovationSum":
+        """Return the sum after a step in which the errors of the states are multiplied by a matrix."""
+        return self if self.shared is None else self._replace(shared=self.shared_with(len(by)) @ by.T)
 
 
 NO_INNOVATIONS = InnovationSum(np.zeros(3), np.zeros((3, 3)), 0.0, 0.0, 0.0)
@@ -96,6 +130,9 @@ class FilterState:
     """Further states; their names differ."""
     model: MotionModel | None = None
     """Model of the motion between measurements; None for constant velocity and rate."""
+    chaser_rate_variance: float = 0.0
+    """Variance about each axis of the chaser's rate, relative to which velocity and rate are given,
+    (rad/s)^2. Its error is not in the covariance, since the next prediction takes it out again."""
     manoeuvre: Manoeuvre = CALM
     """Factors by which the densities are raised after the gate refused a pose that its frame alone proves."""
     lag: Manoeuvre = CALM
@@ -113,9 +150,21 @@ class FilterState:
         """Factors by which the densities of accelerations are raised."""
         return Manoeuvre(*map(max, self.manoeuvre, self.lag))
 
+    @property
+    def may_be_raised(self) -> tuple[bool, bool]:
+        """Whether ``factors`` raise the noise of accelerations and of angular accelerations."""
+        of_linear, of_angular = (False, False) if self.model is None else self.model.states_noise
+        return not of_linear, not of_angular
+
     def places(self) -> dict[str, slice]:
         """Return the slices of the blocks' states in the covariance, by the block's name."""
         return {block.name: place for block, place in placed(self.blocks, MOTION.stop)}
+
+    def known_of(self, names: Collection[str]) -> Known:
+        """Return the blocks with these names, and the covariance of their states together."""
+        kept = [(block, place) for block, place in placed(self.blocks, MOTION.stop) if block.name in names]
+        there = np.r_[tuple(place for _, place in kept)] if kept else np.zeros(0, int)
+        return Known(tuple(block for block, _ in kept), self.covariance[np.ix_(there, there)])
 
     def corrected(self, correction: FloatArray) -> "FilterState":
         """Return the state after a correction of its errors, shape (12 + n,), with the same covariance."""

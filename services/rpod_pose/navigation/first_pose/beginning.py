@@ -10,6 +10,7 @@ from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.first_pose.carried import carried
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.joints import JointTrack, tracked_joints
@@ -54,14 +55,15 @@ class Beginning:
         self._centre_of_mass_m, self._alike, self._dynamics = centre_of_mass_m, alike, dynamics
         self._joints = {joint.name: joint for joint in joints}
 
-    def filter_at(self, measured: PoseMeasurement) -> FilterState:
-        """Return a filter that starts at a measured pose."""
+    def filter_at(self, measured: PoseMeasurement, past: FilterState | None = None) -> FilterState:
+        """Return a filter that starts at a measured pose, with what stays of the filter before it, if any."""
         return started(
             measured,
             config=self._config,
             centre_of_mass_m=self._centre_of_mass_m,
             alike=self._alike,
             blocks=self._dynamics.blocks_at(measured.stamp_ns),
+            known=None if past is None else carried(past, measured, self._config),
             model=self._dynamics.model,
         )
 
@@ -95,7 +97,7 @@ class Beginning:
         return replace(
             state.not_searching(event.sensor),
             mode=Mode.VERIFYING if unverified else Mode.TRACKING,
-            history=self._history(as_measured(registration, event), before),
+            history=self._history(as_measured(registration, event), before, state.before_loss),
             streams=begun(state.streams, event.sensor, event.stamp_ns),
             established=frozenset({event.sensor}),
             separation=None,
@@ -104,13 +106,21 @@ class Beginning:
             joints=self.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
 
-    def _history(self, measured: PoseMeasurement, before: PoseMeasurement | None) -> History:
-        """Return a history that begins at a pose, or at an earlier one that agrees with it."""
+    def _history(
+        self, measured: PoseMeasurement, before: PoseMeasurement | None, past: FilterState | None
+    ) -> History:
+        """Return a history that begins at a pose, or at an earlier one that agrees with it.
+
+        Args:
+            measured: the pose.
+            before: an earlier one, from which it was followed; None if there is none.
+            past: the filter before; None if there was none.
+        """
         if before is not None:
-            followed = apply(History(self.filter_at(before)), measured, self._config)
+            followed = apply(History(self.filter_at(before, past)), measured, self._config)
             if followed.accepted:
                 return followed.history
-        return History(self.filter_at(measured))
+        return History(self.filter_at(measured, past))
 
     def at_remaining(self, state: NavigatorState, rivals: Rivals, event: Measurement) -> NavigatorState:
         """Return the state with the track of the best rival, which continues from its parallel track."""

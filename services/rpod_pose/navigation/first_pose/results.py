@@ -62,7 +62,7 @@ class SearchResults:
             state = self._beginning.at_found(state, event, registration, before)
             return state, self._output(state, event, registration)
         if self._methods[event.sensor].likelihoods is not None:
-            tracks = self._parallel.started(event, acquisition)
+            tracks = self._parallel.started(event, acquisition, state.before_loss)
             if 1 < len(tracks) <= self._tuning.most_rivals:
                 since_ns = event.stamp_ns
                 rivals = Rivals(tracks, event.sensor, since_ns, since_ns, belief.needed_weight)
@@ -74,7 +74,7 @@ class SearchResults:
     ) -> tuple[NavigatorState, Output]:
         """Begin a track at the best rival, if it is probable enough also among the poses of a new search."""
         event, registration = search.event, search.registration
-        others = self._parallel.also_found(rivals, event, found.acquisition)
+        others = self._parallel.also_found(rivals, event, found.acquisition, state.before_loss)
         joined = rivals.joined_by(others, self._alike) if others else rivals
         if others and joined.decided and registration is not None:
             state = self._beginning.at_remaining(state, joined, event)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
+from rpod_pose.navigation.integrity.past import Past
 from rpod_pose.navigation.integrity.residuals import Residual
 from rpod_schemas.arrays import FloatArray
 
@@ -20,12 +21,8 @@ class Memory:
     """Residuals of each sensor in the window."""
     without: Mapping[str, FilterState] = field(default_factory=dict)
     """Filters without one of several sensors, by that sensor's name."""
-    anchors: tuple[FilterState, ...] = ()
-    """Earlier estimates, from up to a window before, oldest first."""
-    contradicted_ns: int | None = None
-    """Newest stamp at which the estimate contradicted an earlier one."""
-    contradiction: str = ""
-    """Description of that contradiction, with its figures."""
+    past: Past = field(default_factory=Past)
+    """Where the estimate was before."""
     sensor: str = ""
     """Sensor whose measurement was accepted last."""
     frozen_ns: Mapping[str, int] = field(default_factory=dict)

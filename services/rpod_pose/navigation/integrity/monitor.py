@@ -19,6 +19,7 @@ import numpy as np
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
+from rpod_pose.navigation.history import after
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
@@ -29,15 +30,21 @@ from rpod_pose.navigation.integrity.levels import (
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.integrity.refused import refused_solutions
-from rpod_pose.navigation.integrity.residuals import Statistic, recent, residual_of, residual_tests
-from rpod_pose.navigation.pose_measurement import PoseMeasurement, started, updated
+from rpod_pose.navigation.integrity.residuals import (
+    Statistic,
+    recent,
+    residual_of,
+    residual_tests,
+    separation_test,
+)
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import is_recent
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
-from rpod_schemas.poses import rotation_matrix
-from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState
+from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState, Mode
 
 NOT_TOLD = "; which of them is wrong is not known: calibrate both"
 """Text that an offset between two mounts does not say which mount is wrong, with the remedy."""
@@ -85,7 +92,7 @@ class Monitor:
         shown_ns = state.shown_ns if output.odometry is None else output.odometry.stamp_ns
         estimate = predict(newest, max(newest.stamp_ns, shown_ns), self._filter)
         tests, evidence = self._tests(memory, estimate)
-        memory = self._remembered(memory, estimate)
+        memory = self._remembered(memory, state, estimate)
         limit = self._limit(memory, state, estimate)
         levels, less = self._levels(memory, state, output, estimate, limit)
         checked = self._checked(
@@ -125,18 +132,28 @@ class Monitor:
             newest_ns = max(each[-1].stamp_ns for each in residuals.values())
             kept = {name: recent(each, newest_ns, self._tuning.window_s) for name, each in residuals.items()}
             memory = replace(memory, residuals={name: each for name, each in kept.items() if each})
-        return replace(memory, without=self._without(memory, status.sensor, predicted, measured))
+        alone = _without_newcomers(state, status.sensor, measured.stamp_ns, self._filter)
+        without = self._without(memory, status.sensor, alone or predicted, predicted, measured)
+        return replace(memory, without=without)
 
     def _without(
-        self, memory: Memory, sensor: str, predicted: FilterState, measured: PoseMeasurement
+        self,
+        memory: Memory,
+        sensor: str,
+        alone: FilterState,
+        predicted: FilterState,
+        measured: PoseMeasurement,
     ) -> Mapping[str, FilterState]:
-        """Return the filters without each one of several sensors after a measurement of ``sensor``."""
+        """Return the filters without one sensor after a measurement of ``sensor``; none for one sensor.
+
+        That without ``sensor`` begins with ``alone`` if there is none yet.
+        """
         if len(memory.residuals) < 2:
             return {}
         found = {name: each for name, each in memory.without.items() if name in memory.residuals}
         for name in memory.residuals:
             if name == sensor:
-                found.setdefault(name, predicted)
+                found.setdefault(name, alone)
             elif name not in found:
                 found[name] = started(
                     measured, config=self._filter, centre_of_mass_m=predicted.centre_of_mass_m,
@@ -144,27 +161,17 @@ class Monitor:
                     model=predicted.model,
                 )  # fmt: skip
             elif measured.stamp_ns >= found[name].stamp_ns:
-                there = predict(found[name], measured.stamp_ns, self._filter)
-                found[name] = updated(there, measured, self._filter).state
+                found[name] = after(found[name], measured, self._filter)
         return found
 
-    def _remembered(self, memory: Memory, estimate: FilterState) -> Memory:
-        """Return the memory after the estimate is compared with earlier ones, and added to them.
-
-        While the estimate contradicts an earlier one, the earlier ones are kept.
-        """
-        anchors = tuple(each for each in memory.anchors if each.stamp_ns <= estimate.stamp_ns)
-        for anchor in anchors:
-            past = predict(anchor, estimate.stamp_ns, self._filter)
-            test = _separation_test("the estimate and the prediction of an earlier one", estimate, past)
-            if test.exceeds_risk(self._config.risk):
-                since_s = (estimate.stamp_ns - anchor.stamp_ns) * 1e-9
-                text = f"{test.describe(self._config.risk)}, {since_s:.1f} s before"
-                return replace(memory, contradicted_ns=estimate.stamp_ns, contradiction=text)
-        gap_ns = round(0.5 * self._tuning.window_s * 1e9)
-        if not anchors or estimate.stamp_ns - anchors[-1].stamp_ns >= gap_ns:
-            anchors = (*anchors, estimate)[-3:]
-        return replace(memory, anchors=anchors)
+    def _remembered(self, memory: Memory, state: NavigatorState, estimate: FilterState) -> Memory:
+        """Return the memory with an estimate that frames support compared with its past."""
+        if state.mode is Mode.COASTING:  # a prediction contradicts nothing
+            return memory
+        past = memory.past.compared(
+            estimate, unseen_ns=state.unseen_ns, config=self._config, filtered=self._filter
+        )
+        return replace(memory, past=past)
 
     # --- tests and levels ---
 
@@ -186,7 +193,7 @@ class Monitor:
                 if memory.without[name].stamp_ns <= estimate.stamp_ns
             ]
             if len(there) == 2:
-                tests.append(_separation_test(f"the solutions without {one} and without {other}", *there))
+                tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
             tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, NOT_TOLD))
             evidence |= offset.evidence
@@ -228,7 +235,7 @@ class Monitor:
         solutions = [solution("", estimate, estimate, 1.0)]
         assert state.history is not None  # noqa: S101 - guaranteed by the caller
         group_ns = round(self._tuning.group_s * 1e9)
-        before = state.history.before(state.history.state.stamp_ns - group_ns, self._filter)
+        before = state.history.without_newest(state.history.state.stamp_ns - group_ns)
         if before is not None:
             older = predict(before, estimate.stamp_ns, self._filter)
             solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
@@ -320,11 +327,7 @@ class Monitor:
         failed = [test.describe(self._config.risk) for test in tests if test.exceeds_risk(self._config.risk)]
         if failed:
             return failed[0]
-        if memory.contradicted_ns is None:
-            return ""
-        since_s = (estimate.stamp_ns - memory.contradicted_ns) * 1e-9
-        held = since_s <= self._tuning.memory_s
-        return f"{since_s:.1f} s ago: {memory.contradiction}" if held else ""
+        return memory.past.alert(estimate.stamp_ns, self._tuning.memory_s)
 
     def _caution(self, output: Output, tests: list[Statistic]) -> str:
         """Return why the estimate needs care; empty if it does not.
@@ -359,15 +362,16 @@ class Monitor:
         )
 
 
-def _separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
-    """Return the test whether two solutions differ by more than the sum of their covariances allows.
+def _without_newcomers(
+    state: NavigatorState, sensor: str, stamp_ns: int, config: FilterConfig
+) -> FilterState | None:
+    """Return the filter without a sensor that has joined the track of others; None for an established one.
 
-    Solutions that share measurements differ by less than that, so the test alerts too seldom.
+    Before it joined, its frames were in the other filter already.
     """
-    apart = separation_of(one, other)
-    covariance = one.covariance[POSE, POSE] + other.covariance[POSE, POSE]
-    covariance = one.alike.with_free_variance(covariance, rotation_matrix(one.T_chaser_target), 1.0)
-    return Statistic(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
+    if state.separation is None or sensor in state.established:
+        return None
+    return state.separation.without.at(stamp_ns, config)
 
 
 def _above(levels: Levels, limit_deg: float, limit_m: float) -> str:

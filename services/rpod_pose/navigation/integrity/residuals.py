@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rpod_pose.navigation.filter import FilterState, Innovation
+from rpod_pose.navigation.filter import POSE, FilterState, Innovation, separation_of
 from rpod_pose.navigation.integrity.levels import chi2_limit
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import rotation_matrix
 
 _EXPLAINED = 0.5
 """Least share of a bias that a clock must explain to be named as the cause. Hand: more than all other causes
@@ -57,6 +58,17 @@ class Statistic:
         """Return the test in words, with its figures."""
         limit = chi2_limit(risk, self.dof)
         return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"
+
+
+def separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
+    """Return the test whether two solutions differ by more than their covariances together allow.
+
+    Solutions that share measurements differ by less than that, so the test alerts too seldom.
+    """
+    apart = separation_of(one, other)
+    covariance = one.covariance[POSE, POSE] + other.covariance[POSE, POSE]
+    covariance = one.alike.with_free_variance(covariance, rotation_matrix(one.T_chaser_target), 1.0)
+    return Statistic(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
 
 
 def residual_of(predicted: FilterState, found: Innovation, stamp_ns: int) -> Residual | None:

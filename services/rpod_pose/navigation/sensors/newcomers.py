@@ -69,7 +69,8 @@ class Newcomers:
         )
         if reason:
             return state, self._output(state, event, registration, reason=reason)
-        measured = as_measured(registration, event, state.streams.get(event.sensor))
+        since_s = separation.including.since_s(event.stamp_ns, event.sensor)  # on probation too
+        measured = replace(as_measured(registration, event), since_s=since_s)
         grown, nis, accepted = apply(separation.including, measured, self._config, predicted)
         if not accepted:
             state = state if separation.joined else replace(state, separation=None)

@@ -119,6 +119,12 @@ def silent_since_s(streams: Streams, stamp_ns: int) -> float:
     return _since_s((stream.heard_ns for stream in streams.values()), stamp_ns)
 
 
+def supported_ns(streams: Streams) -> int | None:
+    """Return the stamp of the newest accepted measurement; None if there is none."""
+    stamps_ns = [stream.accepted_ns for stream in streams.values() if stream.accepted_ns is not None]
+    return max(stamps_ns, default=None)
+
+
 def unsupported_s(streams: Streams, stamp_ns: int) -> float:
     """Return the time since the newest accepted measurement, s; infinite if there is none."""
     return _since_s((stream.accepted_ns for stream in streams.values()), stamp_ns)

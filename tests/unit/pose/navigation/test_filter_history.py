@@ -102,12 +102,22 @@ def test_only_the_past_that_late_measurements_need_is_kept() -> None:
     assert history.origin.stamp_ns < stamps_ns[0]
 
 
-def test_without_a_delay_only_the_newest_is_kept() -> None:
+def test_without_a_delay_no_late_measurement_is_applied_and_a_second_of_the_past_is_kept() -> None:
     config = FilterConfig(max_delay_s=0.0)
-    history = after(measurement(0.1), measurement(0.2), config=config)
-    assert len(history.steps) == 1
-    assert not apply(history, measurement(0.15), config).accepted
-    assert apply(history, measurement(0.2), config).accepted
+    history = after(*(measurement(time_s) for time_s in (0.1, 0.2, 0.9, 1.1, 1.7)), config=config)
+    assert not apply(history, measurement(1.65), config).accepted
+    assert apply(history, measurement(1.7), config).accepted
+    assert [round(step.measurement.stamp_ns / SECOND_NS, 1) for step in history.steps] == [0.9, 1.1, 1.7]
+
+
+def test_the_state_without_the_newest_measurements_is_known_although_none_may_be_late() -> None:
+    config = FilterConfig(max_delay_s=0.0)
+    history = after(measurement(0.1), measurement(0.2), measurement(0.3), config=config)
+    for time_s, known in ((0.25, after(measurement(0.1), measurement(0.2))), (0.05, begun())):
+        found = history.without_newest(round(time_s * SECOND_NS))
+        assert found is not None
+        assert_same(found, known.state)
+    assert history.without_newest(-1) is None
 
 
 def test_the_history_it_came_from_is_untouched() -> None:

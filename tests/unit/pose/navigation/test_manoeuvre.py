@@ -8,7 +8,16 @@ from navigator_rig import MOUNT, SECOND_NS, START_S, View, good, registration, r
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.belief import Belief
-from rpod_pose.navigation.filter import CALM
+from rpod_pose.navigation.dynamics.chaser import Held
+from rpod_pose.navigation.dynamics.free_motion import FreeMotion
+from rpod_pose.navigation.dynamics.manoeuvre import needed
+from rpod_pose.navigation.dynamics.torque_free import Inertia
+from rpod_pose.navigation.filter import CALM, predict, start
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, started
+from rpod_pose.ports import ErrorParts
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
+from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, Mode
 
@@ -173,3 +182,95 @@ def test_a_first_motion_beyond_the_priors_names_the_prior():
     assert "raise filter.initial_rate_sigma_deg_s to a third of the largest rate" in (
         made.see(turned(START_S + 0.5, 15.0)).status.reason
     )
+
+
+LASTING_RAD = np.radians(0.1)
+PARTS = ErrorParts(
+    white=np.diag(NOISE**2),
+    of_sensor=np.zeros((6, 6)),
+    of_image=np.diag([1e-6] * 3 + [LASTING_RAD**2] * 3),
+    image_turn_rad=np.radians(0.5),
+    of_model=np.diag([1e-6] * 3 + [LASTING_RAD**2] * 3),
+)
+"""Noise of a frame, and errors that last: as large as a third of the lag behind the target below."""
+CONSIDERED = FilterConfig(errors="considered")
+
+
+@pytest.mark.parametrize("lasting_deg", [0.1, 0.3])
+def test_errors_that_last_do_not_hide_that_the_estimate_lags_behind_the_target(lasting_deg):
+    """An estimate takes them over, so that they are not in its innovations. Their size hid the lag before."""
+    of_model = np.diag([1e-8] * 3 + [np.radians(lasting_deg) ** 2] * 3)
+    parts = ErrorParts.lasting_model(np.diag(np.repeat([0.003, 0.003], 3) ** 2), of_model)
+    made, errors_deg, factors = rig(pose=swaying(START_S), filter_config=CONSIDERED), [], []
+    for time_s in START_S + np.arange(0.0, 9.0, 1.0 / 15.0):
+        pose = swaying(time_s, amplitude_deg=8.0, period_s=9.0)
+        output = made.see(seen(pose, time_s, parts=parts))
+        if time_s > START_S + 2.0:
+            turn_rad, _ = pose_error(output.odometry.pose, pose)
+            errors_deg.append(np.degrees(np.linalg.norm(turn_rad)))
+            factors.append(made.state.history.state.lag.angular)
+    assert max(factors) > 3.0
+    assert np.sqrt(np.mean(np.square(errors_deg))) < 0.15
+
+
+def drawn(rng, covariance):
+    return rng.multivariate_normal(np.zeros(6), covariance)
+
+
+def test_the_sum_of_innovations_is_as_large_as_its_covariance_says_beside_errors_that_last():
+    """A filter that only considers errors does not leave its innovations independent."""
+    config = FilterConfig(
+        errors="considered", acceleration_density_m2_s3=1e-9, angular_acceleration_density_rad2_s3=1e-9,
+        initial_velocity_sigma_m_s=0.01, initial_rate_sigma_deg_s=2.0, tuning=FilterTuning(gate_nis=1e9),
+    )  # fmt: skip
+    step_s, squares = 0.1, []
+    for seed in range(60):
+        rng, history = np.random.default_rng(seed), None
+        rate_rad_s = np.radians(config.initial_rate_sigma_deg_s) * rng.standard_normal(3)
+        velocity_m_s = config.initial_velocity_sigma_m_s * rng.standard_normal(3)
+        of_image, of_model = drawn(rng, PARTS.of_image), drawn(rng, PARTS.of_model)
+        for number in range(25):
+            time_s = number * step_s
+            kept = np.exp(-np.linalg.norm(rate_rad_s) * step_s / PARTS.image_turn_rad)
+            of_image = kept * of_image + np.sqrt(1.0 - kept**2) * drawn(rng, PARTS.of_image)
+            turn = Rotation.from_rotvec(rate_rad_s * time_s)
+            off = np.kron(np.eye(2), turn.as_matrix()) @ (of_image + of_model) + drawn(rng, PARTS.white)
+            place_m = np.array([0.0, 0.0, 4.0]) + velocity_m_s * time_s + off[:3]
+            pose = make_pose(rotation=Rotation.from_rotvec(off[3:]) * turn, translation_m=place_m)
+            measured = PoseMeasurement(
+                round(time_s * SECOND_NS), pose, np.eye(6), Origin("pmd", make_pose(), PARTS), alone=True
+            )
+            if history is None:
+                history = History(started(measured, config=config))
+            else:
+                history = apply(history, measured, config).history
+        found = history.state.sums[1]
+        squares.append(found.difference @ np.linalg.solve(found.covariance, found.difference))
+    # the mean of 60 values of chi-squared with 3 degrees of freedom has a standard deviation of 0.32
+    assert 1.8 < np.mean(squares) < 4.2
+
+
+def test_a_sum_of_innovations_fades_while_frames_prove_nothing():
+    made = tracking(until_s=START_S + 2.0, alert=AlertLimit(attitude_deg=90.0, position_m=5.0))
+    assert made.state.history.state.sums[1].weights > 5.0
+    for number in range(1, 9):
+        view = good(START_S + 2.0 + 0.6 * number)
+        doubtful = replace(view.tracked, belief=Belief(BeliefLevel.DOUBTFUL, "few edges"))
+        assert made.see(replace(view, tracked=doubtful)).status.accepted
+    assert made.state.history.state.sums[1].weights < 0.1
+
+
+def test_a_model_that_states_its_own_noise_is_not_said_to_be_raised():
+    """Without torque no angular acceleration is raised; that of the position has its least factor."""
+    config, pose = FilterConfig(), make_pose(translation_m=[0.0, 0.0, 5.0])
+    known = np.diag(np.repeat([1e-3, 1e-3], 3) ** 2)
+    begun = start(pose, known, 0, config=config)
+    model = FreeMotion(Held(), Inertia(np.diag([1.0, 2.0, 3.0])), angular_acceleration_density_rad2_s3=1e-11)
+    calm = replace(begun, model=model, covariance=1e-6 * np.eye(12))
+    off = make_pose(rotation=Rotation.from_rotvec([0.1, 0.0, 0.0]), translation_m=[0.2, 0.0, 5.0])
+    measured = PoseMeasurement(SECOND_NS // 2, off, known, alone=True)
+    predicted = predict(calm, measured.stamp_ns, config)
+    factors = needed(calm, predicted, measured, config)
+    assert factors.angular == 1.0
+    assert 1.0 < factors.acceleration < 1e4
+    assert calm.may_be_raised == (True, False)

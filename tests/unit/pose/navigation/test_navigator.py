@@ -13,6 +13,7 @@ from navigator_rig import (
     MOUNT,
     SECOND_NS,
     START_S,
+    Slow,
     View,
     blind,
     failed,
@@ -30,6 +31,7 @@ from navigator_rig import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted, worst_sigma
+from rpod_pose.navigation.history import History
 from rpod_pose.ports import Acquisition, Registration
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
@@ -783,3 +785,49 @@ def test_an_estimate_beyond_the_alert_limit_stays_so_while_no_frame_comes():
     told = made.tick(START_S + 12.8)
     assert made.mode == Mode.TRACKING
     assert told.unusable.startswith("sigma of the attitude")
+
+
+def test_a_lost_track_tells_since_when_nobody_saw_the_target_and_whether_frames_contradicted_it():
+    silent = lost()
+    assert silent.state.unseen_ns == round((START_S + 1.0) * SECOND_NS)
+    assert silent.state.before_loss is not None
+
+    refuted = tracking()
+    belief = Belief(BeliefLevel.CONTRADICTED, "30% contradict")
+    for number in range(1, 60):
+        view = good(START_S + 1.0 + 0.02 * number)
+        refuted.see(replace(view, tracked=replace(view.tracked, belief=belief)))
+        if refuted.mode == Mode.LOST:
+            break
+    assert refuted.mode == Mode.LOST
+    assert refuted.state.unseen_ns == round((START_S + 1.0) * SECOND_NS)
+    assert refuted.state.before_loss is None
+
+    contested = tracking()
+    for number in range(1, 5):
+        contested.see(turned(START_S + 1.0 + 0.1 * number, 60.0))
+        if contested.mode == Mode.LOST:
+            break
+    assert contested.mode == Mode.LOST
+    assert contested.state.unseen_ns is None, "believed poses show it at another attitude"
+    assert contested.state.before_loss is None
+
+
+def test_a_track_that_coasts_tells_since_when_until_it_coasts_again():
+    made = tracking(alert=WIDE)
+    for number in range(1, 8):
+        made.see(blind(START_S + 1.0 + 0.1 * number))
+    assert made.mode == Mode.COASTING
+    for number in range(8, 10):
+        assert made.state.unseen_ns == round((START_S + 1.0) * SECOND_NS)
+        assert made.see(good(START_S + 1.0 + 0.1 * number)).status.mode == Mode.TRACKING
+
+
+def test_a_track_that_was_lost_long_ago_is_not_predicted_any_more():
+    made = lost(near_search_s=10.0)
+    slow = replace(made.state.history.state, model=Slow(30.0))
+    made.state = replace(made.state, history=History(slow))
+    for since_s in (20.0, 3600.0):
+        assert not made.see(blind(START_S + since_s)).status.accepted
+        assert made.mode == Mode.LOST
+        assert made.method.asked == ["acquire"]

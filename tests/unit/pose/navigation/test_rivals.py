@@ -152,3 +152,13 @@ def test_rivals_that_nothing_tells_apart_are_given_up_for_a_new_search():
     for second in range(1, 18):
         assert scene.see(float(second)).status.mode is Mode.ACQUIRING
     assert scene.searches == 2
+
+
+def test_frames_of_rivals_count_less_the_nearer_they_are():
+    """Errors of near frames are alike: a rival's covariance is that of the track that it may become."""
+    scene = Scene()
+    for number in range(9):
+        scene.see(100.0 + number / 45.0)
+    steps = scene.state.rivals.tracks[0].history.steps
+    assert len(steps) == 8
+    assert [step.measurement.since_s for step in steps[1:]] == pytest.approx([1 / 45] * 7, rel=1e-6)

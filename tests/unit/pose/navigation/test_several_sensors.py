@@ -4,59 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from navigator_rig import MOUNT, SECOND_NS, START_S, Method, View, blind, good, turned
+from navigator_rig import MOUNT, SECOND_NS, START_S, Desk, View, blind, good, tracking_by_lidar, turned
 
-from rpod_pose.measurement import Measurement, Tick
+from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.monitor import Monitor
 from rpod_pose.navigation.integrity.mounts import mount_offsets
-from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.sensors.streams import heard, supported
-from rpod_pose.ports import Methods
-from rpod_pose.search.verified_search import VerifiedSearch
-from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, NavigatorConfig, PmdInput
-from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import BeliefLevel, Mode
 
 
-class Desk:
-    """A navigator with a LIDAR and a camera."""
-
-    def __init__(self, *, range_m=None, mount_sigma_deg: float = 0.0, **limits: float) -> None:
-        settings = EstimatorSettings(
-            sensors=(LidarInput(), PmdInput(range_m=range_m)),
-            navigator=NavigatorConfig(**limits),
-            filter=FilterConfig(mount_sigma_deg=mount_sigma_deg, mount_sigma_m=0.1 * mount_sigma_deg),
-        )
-        self.asked: dict[str, Method] = {"lidar": Method(), "pmd": Method()}
-        methods = {
-            name: Methods(VerifiedSearch(method, method, "first"), method, lambda data, *_, **__: data)
-            for name, method in self.asked.items()
-        }
-        self.navigator = Navigator(settings, methods, centre_of_mass_m=np.zeros(3))
-        self.state = self.navigator.start()
-
-    def see(self, sensor: str, view: View):
-        self.asked[sensor].asked.clear()
-        self.state, output = self.navigator.step(self.state, Measurement(sensor, view, MOUNT))
-        return output
-
-    def tick(self, time_s: float):
-        self.state, output = self.navigator.step(self.state, Tick(round(time_s * SECOND_NS)))
-        return output
-
-
-def tracking(until_s: int = 3, **limits: float) -> Desk:
-    """Return a desk that tracks by its LIDAR from ``START_S`` on, 3 s if nothing else is said."""
-    desk = Desk(**limits)
-    for number in range(until_s + 1):
-        desk.see("lidar", good(START_S + number))
-    assert desk.state.mode == Mode.TRACKING
-    return desk
-
-
 def joined() -> Desk:
     """Return a desk whose camera has joined the track: its newest frame is at ``START_S + 4.1``."""
-    desk = tracking(2)
+    desk = tracking_by_lidar(2)
     for second in (2.0, 3.0):
         for number in range(1, 10):
             desk.see("pmd", good(START_S + second + 0.1 * number))
@@ -88,7 +49,7 @@ def test_frames_of_a_camera_that_sees_nothing_do_not_drop_the_lidars_first_pose(
 
 @pytest.mark.parametrize("seen", [blind, contradicting])
 def test_frames_of_a_camera_that_sees_nothing_cost_one_registration_and_no_search(seen):
-    desk = tracking()
+    desk = tracking_by_lidar()
     for number in range(1, 200):
         output = desk.see("pmd", seen(START_S + 3.0 + 0.005 * number))
         assert desk.asked["pmd"].asked == ["track"]
@@ -97,7 +58,7 @@ def test_frames_of_a_camera_that_sees_nothing_cost_one_registration_and_no_searc
 
 
 def test_a_camera_is_offered_the_tracked_pose_and_joins_when_the_lidars_next_two_frames_agree():
-    desk = tracking()
+    desk = tracking_by_lidar()
     for second in (3.0, 4.0):
         output = desk.see("pmd", good(START_S + second + 0.1))
         assert not output.status.accepted
@@ -109,8 +70,8 @@ def test_a_camera_is_offered_the_tracked_pose_and_joins_when_the_lidars_next_two
 
 
 def test_a_camera_whose_poses_lie_off_never_joins_and_moves_nothing():
-    desk = tracking()
-    alone = tracking()
+    desk = tracking_by_lidar()
+    alone = tracking_by_lidar()
     for second in range(3, 7):
         for number in range(1, 10):
             time_s = START_S + second + 0.1 * number
@@ -121,7 +82,7 @@ def test_a_camera_whose_poses_lie_off_never_joins_and_moves_nothing():
 
 
 def test_a_camera_whose_mount_may_be_as_far_off_joins_and_the_offset_is_known():
-    desk = tracking(mount_sigma_deg=2.0)
+    desk = tracking_by_lidar(mount_sigma_deg=2.0)
     for second in range(3, 9):
         for number in range(1, 10):
             output = desk.see("pmd", turned(START_S + second + 0.1 * number, 2.0))
@@ -134,7 +95,7 @@ def test_a_camera_whose_mount_may_be_as_far_off_joins_and_the_offset_is_known():
 
 def test_a_camera_that_agrees_at_first_and_then_pulls_its_filter_away_does_not_join():
     """A frame of the LIDAR soon after the camera's first one tells little of the camera."""
-    desk = tracking()
+    desk = tracking_by_lidar()
     desk.see("pmd", good(START_S + 3.95))
     desk.see("lidar", good(START_S + 4.0))
     for number in range(1, 10):
@@ -186,7 +147,7 @@ def test_a_scan_that_comes_after_newer_frames_of_the_camera_is_applied_at_its_st
 
 
 def test_a_sensor_beyond_its_configured_range_is_not_asked():
-    desk = tracking(range_m=(0.0, 5.0))
+    desk = tracking_by_lidar(range_m=(0.0, 5.0))
     output = desk.see("pmd", good(START_S + 3.1))
     assert output.status.reason.startswith("out of range: the target is predicted at 6.")
     assert output.status.reason.endswith("m, range_m is 0 to 5")
@@ -228,3 +189,43 @@ def test_one_long_gap_is_a_pause_and_not_the_rate_of_a_sensor():
     for stamp_s in np.arange(11.2, 19.0, 1.0):
         streams = heard(streams, "pmd", round(stamp_s * SECOND_NS))
     assert streams["pmd"].period_ns == SECOND_NS, "a slower rate is known after some frames"
+
+
+def test_the_solution_without_a_sensor_that_joins_has_never_seen_its_frames():
+    """While a camera is on probation, its frames are in the filter that is published once it has joined."""
+    desk, alone = tracking_by_lidar(2), tracking_by_lidar(2)
+    monitor, memory = Monitor(desk.settings), Memory()
+
+    def see(sensor: str, view: View):
+        nonlocal memory
+        output = desk.see(sensor, view)
+        memory, _ = monitor.assess(memory, desk.state, output)
+        return output
+
+    for second in (2.0, 3.0):
+        for number in range(1, 10):
+            assert not see("pmd", turned(START_S + second + 0.1 * number, 0.3)).status.accepted
+        scan = good(START_S + second + 1.0)
+        assert see("lidar", scan).status.accepted
+        assert alone.see("lidar", scan).status.accepted
+    stamp_s = START_S + 4.1
+    assert see("pmd", turned(stamp_s, 0.3)).status.accepted
+    assert desk.state.history is not None
+    assert alone.state.history is not None
+    by_lidar = alone.state.history.at(round(stamp_s * SECOND_NS), desk.settings.filter)
+    without = memory.without["pmd"]
+    np.testing.assert_allclose(
+        without.T_chaser_target.as_matrix(), by_lidar.T_chaser_target.as_matrix(), atol=1e-12
+    )
+    np.testing.assert_allclose(without.covariance, by_lidar.covariance, atol=1e-15)
+
+
+def test_frames_of_a_camera_on_probation_count_less_the_nearer_they_are():
+    """Errors of near frames are alike, whether or not their sensor has joined the track."""
+    desk = tracking_by_lidar()
+    for number in range(1, 10):
+        desk.see("pmd", good(START_S + 3.0 + 0.02 * number))
+    assert desk.state.separation is not None
+    measured = [step.measurement for step in desk.state.separation.including.steps]
+    apart_s = [each.since_s for each in measured if each.origin is not None and each.origin.sensor == "pmd"]
+    assert apart_s[1:] == pytest.approx([0.02] * 8)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from free_flight.course import AT_THEIR_WORD, Course, fly
+from rpod_motion.imu import Imu
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
 from rpod_pose.navigation.dynamics.options import Dynamics, evidence_of
 from rpod_schemas.config.base import check
@@ -76,6 +77,24 @@ def test_thrust_that_is_measured_is_not_noise():
     found = fly(replace(CAMERA, dynamics=forced, imu=precise, slews=True, filter=AT_THEIR_WORD), 2)
     assert found.position_m < 0.03
     assert found.nees < 20.0
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_noise_of_an_accelerometer_is_in_the_prediction(stated, monkeypatch):
+    """A tactical one drifts by 0.1 m in half a minute; thrust that is measured is known no better."""
+    forced = {**TORQUE_FREE, "imu": {"acceleration_bias_sigma_m_s2": 1e-4}}
+    tactical = ImuNoiseConfig(
+        rate_hz=10.0, acceleration_noise_m_s_sqrt_s=1e-3, acceleration_bias_sigma_m_s2=1e-4
+    )
+    if not stated:
+        read = Imu.reading
+        monkeypatch.setattr(
+            Imu, "reading", lambda *args: read(*args).model_copy(update={"force_variance": 0.0})
+        )
+    course = replace(CAMERA, dynamics=forced, imu=tactical, slews=True, filter=AT_THEIR_WORD)
+    found = [fly(course, seed) for seed in (1, 2, 3)]
+    assert np.mean([each.nees for each in found]) < 12.0
+    assert 0.05 < found[0].sigma_m < 0.3
 
 
 def test_a_relative_orbit_is_predicted_with_the_attitude_of_the_star_tracker():

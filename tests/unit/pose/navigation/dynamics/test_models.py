@@ -1,6 +1,7 @@
 """The models of motion, against numerical integration, and their derivatives, against differences."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, transition
 from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, curvature, torque_free
-from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, predict
+from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, predict, to_odometry
 from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose, rotation_of
@@ -271,3 +272,48 @@ def test_the_second_order_of_the_rotation_is_that_of_samples():
     assert np.abs(off).max() < 4.0
     covariance = (found.spread @ found.spread.T)[3:, 3:]
     np.testing.assert_allclose(np.diag(covariance), np.var(over, axis=0), rtol=0.5)
+
+
+def test_the_published_twist_is_as_uncertain_as_the_gyro_against_which_it_is_given():
+    """A target at rest, whose rate is known: what is seen of it is the noise of the chaser's own rate."""
+    walk, rate_hz, found = np.radians(0.0025), 100.0, []
+    pose = make_pose(translation_m=[0.0, 0.0, 10.0])
+    for seed in range(200):
+        track, generator = ImuTrack(walk), np.random.default_rng(seed)
+        for number in range(-40, 31):
+            noise = walk * np.sqrt(rate_hz) * generator.standard_normal(3)
+            stamp_ns = 10**18 + number * 10_000_000
+            track.take(ImuReading(stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=noise))
+        begin, known = track.step(10**18, 10**18).rate_after_rad_s, 1e-18 * np.eye(12)
+        state = FilterState(
+            10**18, pose, -np.cross(begin, pose.translation), -begin, known, model=FreeMotion(track)
+        )
+        seen = predict(state, 10**18 + 305_000_000, FILTER.model_copy(update=STILL))
+        odometry = to_odometry(seen, frame_id=CHASER, child_frame_id="target")
+        twist = np.concatenate([odometry.linear_m_s, odometry.angular_rad_s])
+        found.append(twist[[0, 1, 5]] ** 2 / np.diag(odometry.twist_covariance)[[0, 1, 5]])
+    # the mean of 600 values of chi-squared with 1 degree of freedom has a standard deviation of 0.06
+    assert 0.8 < np.mean(found) < 1.2
+
+
+STILL = {"acceleration_density_m2_s3": 1e-16, "angular_acceleration_density_rad2_s3": 1e-18}
+"""No accelerations."""
+
+
+@pytest.mark.parametrize("better", [1e-2, 1e2])
+def test_the_noise_that_readings_state_counts_between_them_too(better):
+    """Steps that end between two readings: a gyro and an accelerometer that are not as assumed."""
+    walk, force_walk = better * np.radians(0.0025), better * 1e-3
+    track = ImuTrack(np.radians(0.0025), force_noise_m_s_sqrt_s=1e-3)
+    for number in range(201):
+        stamp_ns = 10**18 + number * 20_000_000
+        track.take(
+            ImuReading(
+                stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=np.zeros(3), rate_variance=50.0 * walk**2,
+                force_m_s2=np.zeros(3), force_variance=50.0 * force_walk**2,
+            )
+        )  # fmt: skip
+    stamps_ns = 10**18 + 10**9 + np.arange(31) * 10**9 // 15
+    steps = [track.step(int(a), int(b)) for a, b in pairwise(stamps_ns)]
+    assert sum(step.turn_variance for step in steps) == pytest.approx(2.0 * walk**2, rel=1e-6)
+    assert sum(step.speed_variance for step in steps) == pytest.approx(2.0 * force_walk**2, rel=1e-6)
