@@ -21,7 +21,7 @@ def test_a_slope_is_that_of_the_settled_time_with_an_interval_that_holds_it():
 
 
 def test_steps_have_a_wider_interval_than_noise():
-    steps = np.repeat([100.0, 104.0], 1800)
+    steps = np.repeat([100.0, 104.0], [2700, 900])
     noise = np.random.default_rng(2).permutation(np.linspace(100.0, 104.0, 3600))
     wide, narrow = slope(rows(steps), 1), slope(rows(noise), 1)
     assert wide.high - wide.low > 3.0 * (narrow.high - narrow.low)
