@@ -26,8 +26,8 @@ _OLDEST_S = 300.0
 """Age up to which a former estimate is compared, s. Numerics: readings of the IMU are kept for as long; a
 prediction of a tumbling body over hours would take minutes."""
 _NUMBER = 3
-"""Number of former estimates that are kept. Hand: with half a window between two of them they reach back for
-one and a half windows."""
+"""Number of former estimates that are kept. Numerics: a budget; with half a window between two of them they
+reach back for one and a half windows."""
 REMEDY = (
     "; the track has jumped, or the target was accelerated by more than filter.acceleration_density_m2_s3 "
     "and filter.angular_acceleration_density_rad2_s3 allow: if the estimate is right, a reset ends this alert"
