@@ -2,7 +2,7 @@
 
 A search takes up to many seconds. Meanwhile a target that turns is far from where it was found, so that the
 present frame does not verify the pose. Therefore some of the frames in between are kept, and the tracker
-takes the pose from one to the next. This takes less time than has passed.
+takes the pose from one to the next. It catches up if it takes less than the time between two of them.
 """
 
 from dataclasses import replace
