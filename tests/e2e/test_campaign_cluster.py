@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 from counting_campaign import CAMPAIGN, CountingOptions
 from dask_processes import DaskProcesses, end, install_counting
+from distributed import Client
 
 from rpod import __version__
 from rpod_campaign.catalogue import find
@@ -84,18 +85,20 @@ def test_another_packages_campaign_is_in_the_catalogue():
     assert find("counting") is CAMPAIGN
 
 
-def test_pool_one_worker_and_three_give_the_same_rows(tmp_path, dask):
+def test_pool_one_worker_and_eight_give_the_same_rows(tmp_path, dask):
     options = {"trials": 300, "ranges": (1.0, 2.0, 3.0)}
     pool = rows_of(run_campaign(counting(tmp_path / "pool", **options), ProcessPool(2)))
     dask.start_worker("first")
     one = counting(tmp_path / "one", **options)
     assert rows_of(run_campaign(one, Cluster(dask.address))).equals(pool)
-    for number in range(2):
+    for number in range(7):
         dask.start_worker(f"worker-{number}")
-    three = counting(tmp_path / "three", **options)
-    assert rows_of(run_campaign(three, Cluster(dask.address))).equals(pool)
+    with Client(dask.address) as client:
+        client.wait_for_workers(8, timeout=120.0)
+    eight = counting(tmp_path / "eight", **options)
+    assert rows_of(run_campaign(eight, Cluster(dask.address))).equals(pool)
     assert once(one)
-    assert once(three)
+    assert once(eight)
 
 
 def test_killed_workers_and_a_restarted_scheduler_cost_no_row_and_make_none_twice(tmp_path, dask):

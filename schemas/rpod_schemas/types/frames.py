@@ -1,7 +1,7 @@
 """Frames of sensors of any kind, and the pinhole camera that made one."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,9 @@ class FrameImage:
 class SensorFrame(Stamped):
     """One frame of a sensor of any kind; a kind adds its data, and their images and points for display."""
 
+    taken_in: ClassVar[str] = "an exposure"
+    """What makes a frame, with its article, as in "the end of an exposure"."""
+
     @property
     def lasting_s(self) -> float:
         """RMS time of what was measured from the stamp, s; 0 for a frame that is measured at once."""
@@ -88,6 +91,16 @@ class SensorFrame(Stamped):
     def returns_m(self) -> Float32Array:
         """Points for display, sensor axes, shape (N, 3), m."""
         return np.zeros((0, 3), np.float32)
+
+    @property
+    def return_times_s(self) -> Float32Array | None:
+        """Times of ``returns_m`` from the stamp, s, shape (N,), NaN where unknown; None without any."""
+        return None
+
+    @property
+    def begins_s(self) -> float | None:
+        """Time from the stamp of the first ray or pixel whose time is known, s; None without one."""
+        return None
 
     @property
     def grid_m(self) -> Float32Array | None:

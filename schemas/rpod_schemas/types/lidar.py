@@ -1,8 +1,9 @@
 """Scans of a LIDAR, and what the LIDAR says of itself."""
 
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from rpod_schemas.arrays import VectorN
@@ -20,6 +21,8 @@ from rpod_schemas.types.frames import SensorFrame, SensorInfo
 
 class LidarScan(SensorFrame):
     """One scan of a LIDAR."""
+
+    taken_in: ClassVar[str] = "a scan"
 
     points_m: Floats
     """Points, m, shape (rows, columns, 3) if organised, else (N, 3); NaN for rays without a return,
@@ -48,9 +51,19 @@ class LidarScan(SensorFrame):
         """RMS time of the returns from the stamp, s; 0 without times."""
         if self.time_s is None or not self.time_s.any():
             return 0.0
-        returned = np.isfinite(self.points_m).all(axis=-1) & self.points_m.any(axis=-1)
-        returned_s = self.time_s[returned]  # points of zeros are rays without a return
+        returned_s = self.time_s[self._returned]
         return float(np.sqrt(np.mean(returned_s**2))) if returned_s.size else 0.0
+
+    @property
+    def return_times_s(self) -> Float32Array | None:
+        """Times of ``returns_m`` from the stamp, s, shape (N,), NaN where unknown; None without times."""
+        return None if self.time_s is None else self.time_s[self._returned]
+
+    @property
+    def begins_s(self) -> float | None:
+        """Time of the first ray from the stamp, s, with or without a return; None without times."""
+        timed_s = () if self.time_s is None else self.time_s[np.isfinite(self.time_s)]
+        return float(np.min(timed_s)) if len(timed_s) else None
 
     @property
     def organised(self) -> bool:
@@ -73,8 +86,11 @@ class LidarScan(SensorFrame):
     @property
     def returns_m(self) -> Float32Array:
         """Points that are returns, m, shape (N, 3): finite, and not the origin, which means no return."""
-        points = self.points_m.reshape(-1, 3)
-        return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+        return self.points_m[self._returned]
+
+    @property
+    def _returned(self) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.points_m).all(axis=-1) & self.points_m.any(axis=-1))
 
 
 class LidarInfo(SensorInfo):

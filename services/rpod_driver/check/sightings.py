@@ -13,7 +13,7 @@ from rpod_geometry.lens import undistort
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import chained, make_pose
-from rpod_schemas.types import Float32Array, LidarScan, Odometry, SensorFrame
+from rpod_schemas.types import Float32Array, Odometry, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
 _LEAST_FRAMES, _LEAST_POINTS = 12, 60
@@ -62,7 +62,7 @@ def sightings_of(
         before, now, after = (_at(poses, times_ns, stamp_ns, gap_s) for stamp_ns in stamps_ns)
         if before is None or now is None or after is None:
             continue
-        points_m, times_s = _near(points_of(each.frame), _times_of(each.frame), now, mount, surface)
+        points_m, times_s = _near(points_of(each.frame), each.frame.return_times_s, now, mount, surface)
         if len(points_m) >= _LEAST_POINTS:
             found.append(Sighting(points_m, times_s, (before, now, after)))
     if len(found) < _LEAST_FRAMES:
@@ -108,18 +108,9 @@ def _inner(depth_m: Float32Array) -> NDArray[np.bool_]:
     return inner
 
 
-def _times_of(frame: SensorFrame) -> FloatArray | None:
-    """Return the times of a scan's returns from its stamp, s, shape (N,); None if it has none."""
-    if not isinstance(frame, LidarScan) or frame.time_s is None:
-        return None
-    points_m = frame.points_m.reshape(-1, 3)
-    returned = np.isfinite(points_m).all(axis=1) & points_m.any(axis=1)
-    return np.nan_to_num(frame.time_s.reshape(-1)[returned].astype(np.float64))
-
-
 def _near(
     points_m: FloatArray,
-    times_s: FloatArray | None,
+    times_s: Float32Array | None,
     pose: RigidTransform,
     mount: RigidTransform,
     surface: Surface,
@@ -128,4 +119,6 @@ def _near(
     in_target = chained(pose.inv(), mount).apply(points_m)
     near = np.flatnonzero(np.linalg.norm(in_target, axis=1) < surface.radius_m + _AROUND_M)
     kept = near[np.random.default_rng(len(near)).permutation(len(near))[:_POINTS]]
-    return points_m[kept], np.zeros(len(kept)) if times_s is None else times_s[kept]
+    return points_m[kept], np.zeros(len(kept)) if times_s is None else np.nan_to_num(
+        times_s[kept].astype(np.float64)
+    )

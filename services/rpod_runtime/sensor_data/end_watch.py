@@ -16,7 +16,7 @@ import numpy as np
 
 from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import LidarScan, SensorFrame
+from rpod_schemas.types import SensorFrame
 
 _SECONDS = 5
 _LEAST_SECONDS = 3
@@ -56,16 +56,13 @@ def last_of(data: SensorFrame, duration_s: float) -> Last:
         data: the frame.
         duration_s: duration of the exposure or scan as it is stated, s; 0 if it is not.
     """
-    if isinstance(data, LidarScan) and data.time_s is not None:
-        timed = np.isfinite(data.time_s)
-        times_s = data.time_s[np.isfinite(data.points_m).all(axis=-1) & timed]
-        if times_s.size:
-            begins_s = float(data.time_s[timed].min())
-            return Last(float(times_s.max()), "their last point", begins_s, duration_s)
-    thing = "a scan" if isinstance(data, LidarScan) else "an exposure"
+    returned_s = data.return_times_s
+    if returned_s is not None and np.isfinite(returned_s).any():
+        return Last(float(np.nanmax(returned_s)), "their last point", data.begins_s, duration_s)
     if duration_s > 0.0:
-        return Last(0.5 * duration_s, f"the end of {thing} of {duration_s:.3f} s", None, duration_s)
-    return Last(0.0, f"their stamp, the middle of {thing}")
+        end = f"the end of {data.taken_in} of {duration_s:.3f} s"
+        return Last(0.5 * duration_s, end, None, duration_s)
+    return Last(0.0, f"their stamp, the middle of {data.taken_in}")
 
 
 class Finding(NamedTuple):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rpod_runtime.sensor_data.end_watch import EndWatch, Last, last_of
-from rpod_schemas.types import Camera, LidarScan, PmdFrame
+from rpod_schemas.types import Camera, LidarScan, PmdFrame, SensorFrame
 
 SECOND_NS = 1_000_000_000
 EPOCH_NS = 1_767_225_600 * SECOND_NS
@@ -126,3 +126,22 @@ def test_without_times_of_points_the_stated_duration_counts_and_without_it_the_s
         stamp_ns=1, frame_id="", depth_m=np.ones((2, 2), np.float32), amplitude=None, camera=CAMERA
     )
     assert last_of(frame, 0.02).what == "the end of an exposure of 0.020 s"
+
+
+class RadarSweep(SensorFrame):
+    """A frame of a kind that another package brings, with times of its returns."""
+
+    taken_in = "a sweep"
+
+    @property
+    def return_times_s(self):
+        return np.array([-0.1, 0.2, np.nan], np.float32)
+
+    @property
+    def begins_s(self):
+        return -0.3
+
+
+def test_the_last_return_of_another_packages_frame_counts_too():
+    last = last_of(RadarSweep(stamp_ns=1, frame_id=""), 0.5)
+    assert (last.after_s, last.begins_s) == (pytest.approx(0.2), pytest.approx(-0.3))
