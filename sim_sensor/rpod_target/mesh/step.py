@@ -1,12 +1,21 @@
 """STEP files, which the library cascadio (OpenCASCADE) turns into GLB; needs the extra ``step``."""
 
 import re
+import signal
+import subprocess
+import sys
+import warnings
 from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 _DEFLECTION = 0.001
 """Largest distance of a triangle from a curved surface, as a share of an edge's length."""
 _ANGLE_RAD = 0.2
 """Largest angle between neighbouring segments of a curved edge."""
+_LONGEST_S = 600.0
+"""Time after which a file is given up: 2 million triangles take less than a minute."""
+_REASON = re.compile(rb"ERR StepFile : (.*?)\s*\*{4}")
 _METRES = re.compile(rb"SI_UNIT\s*\(\s*(?:\$|\.([A-Z]+)\.)\s*,\s*\.METRE\.\s*\)")
 _CONVERTED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'\s*([A-Za-z]+)")
 _UNITS = {
@@ -36,14 +45,44 @@ def units(content: bytes) -> tuple[str, ...]:
 def as_glb(content: bytes) -> bytes:
     """Return a STEP file as GLB, in metres: one mesh a part, with a primitive for each of its colours.
 
+    A process of its own reads it, since OpenCASCADE prints what it finds, and a damaged file may end it.
+
     Raises:
-        Exception: the content is wrong, in any way.
+        ValueError: the content is wrong; the text is OpenCASCADE's reason.
     """
+    with TemporaryDirectory() as folder:
+        made = Path(folder) / "made.glb"
+        command = (sys.executable, "-P", __file__, str(made))
+        try:
+            done = subprocess.run(
+                command, input=content, capture_output=True, check=False, timeout=_LONGEST_S
+            )
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"OpenCASCADE needs more than {_LONGEST_S:.0f} s") from error
+        glb = made.read_bytes() if done.returncode == 0 else b""
+    found = [text.decode("utf-8", "replace") for text in dict.fromkeys(_REASON.findall(done.stdout))]
+    if glb:
+        for text in found:
+            warnings.warn(f"OpenCASCADE reads a part of the STEP file alone: {text}", stacklevel=2)
+        return glb
+    if done.returncode < 0:
+        found.append(f"it ends OpenCASCADE by {signal.Signals(-done.returncode).name}")
+    raise ValueError(found[0] if found else "OpenCASCADE finds no shape in it")
+
+
+def _main() -> None:
+    """Write the STEP file on the standard input as GLB to the path that is the first argument."""
     import cascadio  # noqa: PLC0415 - only STEP files need it
 
-    glb: bytes = cascadio.load(
-        content, file_type="step", tol_linear=_DEFLECTION, tol_angular=_ANGLE_RAD, tol_relative=True
+    glb = cascadio.load(
+        sys.stdin.buffer.read(),
+        file_type="step",
+        tol_linear=_DEFLECTION,
+        tol_angular=_ANGLE_RAD,
+        tol_relative=True,
     )
-    if not glb:
-        raise ValueError("OpenCASCADE finds no shape in it")
-    return glb
+    Path(sys.argv[1]).write_bytes(glb)
+
+
+if __name__ == "__main__":
+    _main()

@@ -17,6 +17,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,6 +140,15 @@ def test_a_size_by_the_stated_unit_that_is_not_usual_is_refused_without_another_
         draft(large, tmp_path / "large.yaml", DraftOptions())
 
 
-def test_a_damaged_file_is_told() -> None:
-    with pytest.raises(ValueError, match="cannot be read as STEP"):
-        read_mesh_file("broken.step", FILE.read_bytes()[:20000], {})
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (FILE.read_bytes()[:20000], r"Line 519: .*unexpected end of file"),
+        (FILE.read_bytes().replace(b"CARTESIAN_POINT", b"CARTESIAN_PINT", 3), r"\S"),
+    ],
+    ids=["cut off", "a name that is wrong"],
+)
+def test_a_damaged_file_is_told_and_ends_no_process_of_ours(content: bytes, reason: str, capfd: Any) -> None:
+    with pytest.raises(ValueError, match=rf"cannot be read as STEP \(.*{reason}.*\): export it again"):
+        read_mesh_file("broken.step", content, {})
+    assert capfd.readouterr() == ("", "")
