@@ -19,7 +19,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_target.mesh import gltf_arrays, obj_text, off_text, step
 from rpod_target.mesh.text import as_utf8, file_of, with_line_feeds
 from rpod_target.mesh.topology import areas_m2
-from rpod_target.mesh.unusable import unusable, without_faces
+from rpod_target.mesh.unusable import lost_faces, unusable, without_faces
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".off", ".step", ".stp")
 """Suffixes of the files that can be read."""
@@ -103,6 +103,8 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     pieces = list(_pieces(scene))
     if not pieces:
         raise ValueError(without_faces(list(scene.geometry.values())))
+    if suffix == ".ply" and (reason := lost_faces(content, sum(len(piece.triangles) for piece in pieces))):
+        raise ValueError(reason)
     if suffix in _TEXTS:
         pieces.reverse()  # the reader returns them from the last to the first
     materials = list(dict.fromkeys(piece.material for piece in pieces if piece.material))
@@ -276,7 +278,7 @@ def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_P
     visual = geometry.visual
     if getattr(visual, "kind", None) in {"face", "vertex"}:
         colours, of_face = np.unique(np.asarray(visual.face_colors)[:, :3], axis=0, return_inverse=True)
-        if len(colours) <= off_text.MOST_COLOURS:
+        if len(colours) <= off_text.MOST_COLOURS and len(of_face) == len(triangles):
             for number, colour in enumerate(colours):
                 red, green, blue = (float(value) / 255.0 for value in colour)
                 painted = FileMaterial(_colour_name((red, green, blue)), (red, green, blue), None, None)

@@ -48,7 +48,7 @@ def _polygon(words: list[bytes]) -> tuple[bytes, list[int]]:
         return b"", corners
     whole = all(word.isdigit() for word in shares)
     values = [float(word) / (255.0 if whole else 1.0) for word in shares]
-    levels = [min(max(round(255.0 * value), 0), 255) for value in values]
+    levels = [round(min(max(255.0 * value, 0.0), 255.0)) for value in values]
     return b"colour-%02x%02x%02x" % (levels[0], levels[1], levels[2]), corners
 
 

@@ -5,6 +5,7 @@ mesh, or as one whose corners are all at the origin. So the bytes are examined f
 """
 
 import json
+import re
 import struct
 from typing import Any
 
@@ -23,6 +24,7 @@ _NAMES = {
 _COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _INSTANCES = "EXT_mesh_gpu_instancing"
 """Extension that places a mesh several times; a reader without it shows the mesh once."""
+_PLY_FACES = re.compile(rb"(?s)ply\s.{0,65536}?^element[ \t]+face[ \t]+(\d{1,18})\s", re.MULTILINE)
 _MOST_ABSENT = 1 << 25
 """Largest number of values that a glTF file may announce without having them: they count as zeros."""
 
@@ -56,6 +58,20 @@ def without_faces(geometries: list[Any]) -> str:
             "surfaces as a mesh, or make a mesh of it (as MeshLab and CloudCompare do)"
         )
     return "contains no triangle: export its surfaces as a mesh"
+
+
+def lost_faces(content: bytes, triangles: int) -> str:
+    """Return why a PLY file is refused whose reader leaves out faces, or an empty text.
+
+    Args:
+        content: bytes of the file.
+        triangles: number of triangles that were read: at least one for each face.
+    """
+    found = _PLY_FACES.match(content)
+    announced = int(found[1]) if found else 0
+    if triangles >= announced:
+        return ""
+    return f"announces {announced} faces, of which {triangles} triangles could be read: export it again"
 
 
 def _format(content: bytes) -> str:

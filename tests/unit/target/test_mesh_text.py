@@ -122,6 +122,12 @@ def test_an_off_file_is_read_with_the_colours_of_its_faces(text: str) -> None:
     assert np.bincount(mesh.triangle_material + 1).tolist() == [2, 2]
 
 
+def test_a_colour_beyond_all_colours_is_the_strongest_one() -> None:
+    text = OFF.replace("3 1 2 3\n", "3 1 2 3  inf -inf 0.0\n")
+    colours = [each.colour for each in read_mesh_file("hull.off", text.encode(), {}).materials]
+    assert (1.0, 0.0, 0.0) in colours
+
+
 def test_a_concave_polygon_of_an_off_file_keeps_its_area() -> None:
     arrow = "OFF\n4 1 0\n0 0 0\n2 1 0\n0 2 0\n1.5 1 0\n4 0 1 2 3\n"
     corners = read_mesh_file("arrow.off", arrow.encode(), {}).triangles

@@ -279,6 +279,8 @@ CLOUD = (
     b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     b"end_header\n0 0 0\n1 0 0\n0 1 0\n"
 )
+DAMAGED = CLOUD.replace(b"end_header", b"element face 3\nproperty list uchar int vertex_indices\nend_header")
+DAMAGED += b"3 0 1 2\n3 0 2\n3 0 2 1\n"
 CORNERS = bytes(36) + b"\0\0\1\0\xff\xff"  # three corners, and a triangle of the corners 0, 1 and 65535
 AMISS = {
     "asset": {"version": "2.0"},
@@ -315,6 +317,7 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
         ),
         ("hull.gltf", b"[" * 100_000, "is no glTF, whose text is one JSON object"),
         ("hull.ply", b"ply\nnonsense", "cannot be read as PLY"),
+        ("hull.ply", DAMAGED, "announces 3 faces, of which 2 triangles could be read: export it again"),
         ("hull.glb", b"glTF but short", "cannot be read as GLB"),
         ("hull.gltf", json.dumps({"buffers": [{"uri": "gone.bin"}]}).encode(), "GLTF|gone"),
         ("hull.dae", b"<xml>", r"no known format: give one of \.stl"),
