@@ -13,6 +13,7 @@ import yaml
 from fuzz import pictures
 from fuzz.calls import call_subjects
 from fuzz.logs import log_subjects
+from fuzz.meshes import mesh_subjects
 from fuzz.mutation import json_of, mutate_bytes, mutate_document, mutate_message
 from fuzz.records import record_subjects
 from fuzz.seeds import TOPICS, messages
@@ -123,7 +124,9 @@ class Subject:
 @cache
 def subjects() -> dict[str, Subject]:
     """Return all subjects by name."""
-    others = (Subject(*each) for each in (*call_subjects(), *record_subjects(), *log_subjects()))
+    others = (
+        Subject(*each) for each in (*call_subjects(), *record_subjects(), *log_subjects(), *mesh_subjects())
+    )
     found = (*_messages(), *_wire(), *_requests(), *_configurations(), *others)
     return {subject.name: subject for subject in found}
 
