@@ -66,13 +66,12 @@ def main(minutes: float, seed: int) -> int:
 def _fuzz(subject: Subject, outcomes: Outcomes, rnd: Random, until_s: float) -> None:
     begin_s = time.process_time()
     while (now_s := time.process_time()) - begin_s < _SLICE_S and time.monotonic() < until_s:
-        take(subject, outcomes, rnd)
+        take(subject, outcomes, subject.make(rnd))
     outcomes.cpu_s += now_s - begin_s
 
 
-def take(subject: Subject, outcomes: Outcomes, rnd: Random) -> None:
-    """Make one input, have it read, and note what came of it."""
-    data = subject.make(rnd)
+def take(subject: Subject, outcomes: Outcomes, data: bytes) -> None:
+    """Have one input read, and note what came of it."""
     read_s = time.process_time()
     try:
         outcomes.accepted += subject.read(data)

@@ -55,6 +55,7 @@ from rpod_schemas.messages import (
 )
 from rpod_schemas.rmw.cdr import decode, peek_stamp
 from rpod_schemas.rmw.wire import (
+    EVERY_PUBLISHER,
     GID_BYTES,
     Attachment,
     GraphNode,
@@ -177,7 +178,7 @@ def _make_frames(rnd: Random) -> bytes:
 def _read_frames(data: bytes) -> bool:
     reader, known, used = FrameReader((PmdInput(), LidarInput())), list(messages()), False
     at = sequence = 0
-    while at < len(data):
+    while at + 6 <= len(data):
         topic, peer = known[data[at] % len(known)], data[at + 1]
         size = int.from_bytes(data[at + 2 : at + 6], "little")
         payload = memoryview(data)[at + 6 : at + 6 + size]
@@ -258,6 +259,8 @@ def _make_token(rnd: Random) -> bytes:
 
 def _read_token(data: bytes) -> bool:
     token = data.decode("utf-8", errors="replace")
+    if token.count("/") < EVERY_PUBLISHER.count("/"):
+        return False  # no subscription to tokens matches it
     return bool(session_of_token(token)) and topic_of_token(token, Namespace()) is not None
 
 

@@ -19,6 +19,8 @@ from rpod_schemas.messages.header import within
 _DEPTH_HEADER_BYTES = 12
 """Size of compressed_depth_image_transport's ConfigHeader."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_CHUNK_BYTES = 12
+"""Length, type and checksum of a chunk of PNG (W3C, PNG, section 5.3)."""
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of JPEG after which the size stands (ITU-T T.81, table B.1)."""
 _FILL = 0xFF
@@ -88,7 +90,21 @@ def _check_size(data: NDArray[np.uint8]) -> None:
 def _png_size(data: NDArray[np.uint8]) -> tuple[int, int] | None:
     if data.size < 24 or data[:8].tobytes() != _PNG:
         return None
+    _check_chunks(data)
     return int.from_bytes(data[20:24].tobytes()), int.from_bytes(data[16:20].tobytes())
+
+
+def _check_chunks(data: NDArray[np.uint8]) -> None:
+    """Check that the chunks of a PNG are in it: a decoder would ask for as much memory as they state."""
+    at, kind = len(_PNG), b""
+    while kind != b"IEND":
+        length, kind = int.from_bytes(data[at : at + 4].tobytes()), data[at + 4 : at + 8].tobytes()
+        at += _CHUNK_BYTES + length
+        if at > data.size:
+            raise MessageRejectedError(
+                Reason.MALFORMED,
+                f"PNG cannot be decoded: its chunks state at least {at} bytes, it has {data.size}",
+            )
 
 
 def _jpeg_size(data: NDArray[np.uint8]) -> tuple[int, int] | None:
