@@ -81,6 +81,7 @@ reading: $(READY) ## A log of 10 GB: time to open and slice it, memory to summar
 	@PYTHONPATH=benchmarks $(BIN)/python -m long_log $(ARGS)
 
 fuzz: $(READY) ## Hostile input of every kind, for MINUTES: readers in one process, then the facility over the bus
+	-@$(BIN)/python -m pip install --quiet --group fuzz
 	@PYTHONPATH=tests $(BIN)/python -m fuzz $(MINUTES) $(ARGS)
 
 kills: $(READY) ## Each service of a facility killed 100 times (ARGS="--count 10"): when it works again, what the log says

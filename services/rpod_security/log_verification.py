@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC
@@ -15,6 +16,8 @@ from rpod_security.errors import ChainError
 from rpod_security.log_chain import FIRST, SIGNATURE, canonical, chain_of, last_digest
 
 _PIECE_BYTES = 1 << 20
+_LONGEST_NAME = 240
+"""Largest number of bytes of a log's name: file systems take 255, with the chain's suffix."""
 _LONGEST_CHAIN = 256 << 20
 """Largest chain that is read, bytes: that of a log of a week."""
 
@@ -149,6 +152,8 @@ class _Check:
         if head.log != self._log.name:
             result.notes.append(f"it was recorded as {head.log}")
         if head.continues is not None:
+            if len(os.fsencode(head.continues)) > _LONGEST_NAME:
+                raise ValueError(f"continues has more than {_LONGEST_NAME} bytes")
             before = self._log.with_name(head.continues)
             if not chain_of(before).exists():
                 result.notes.append(f"{head.continues}, which it continues, is not beside it")

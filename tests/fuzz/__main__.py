@@ -2,8 +2,9 @@
 
     PYTHONPATH=tests python -m fuzz [MINUTES] [SEED]
 
-Of more than 5 minutes 57 % go to the bus: an hour makes a million messages there, and ten million inputs for
-readers. What fails is written to ``tests/fuzz/found``, where a test reads it from then on.
+Of more than 5 minutes 57 % go to the bus, and 10 % to inputs that coverage guides: an hour makes a million
+messages on the bus, and ten million inputs for readers. What fails is written to ``tests/fuzz/found``, where
+a test reads it from then on.
 """
 
 import resource
@@ -17,13 +18,16 @@ from pathlib import Path
 from random import Random
 
 from fuzz.cases import Case
+from fuzz.guided import fuzz_guided
 from fuzz.over_bus import fuzz_facility
 from fuzz.subjects import Subject, subjects
 
 SLOW_S = 5.0
 """Processor time of one input above which it is a failure."""
+LARGE_MIB = 500.0
+"""Growth of the most memory by one input above which it is a failure."""
 _SLICE_S = 1.0
-_BUS_SHARE, _LEAST_FOR_BUS_MIN = 0.57, 5.0
+_BUS_SHARE, _GUIDED_SHARE, _LEAST_FOR_BOTH_MIN = 0.57, 0.1, 5.0
 
 
 @dataclass
@@ -39,9 +43,9 @@ class Outcomes:
 def main(minutes: float, seed: int) -> int:
     """Fuzz for so long; return how many kinds of failures there are."""
     warnings.simplefilter("ignore")
-    on_bus = _BUS_SHARE if minutes > _LEAST_FOR_BUS_MIN else 0.0
+    guided, on_bus = (_GUIDED_SHARE, _BUS_SHARE) if minutes > _LEAST_FOR_BOTH_MIN else (0.0, 0.0)
     by_name = {name: Outcomes() for name in subjects()}
-    until_s, memory_mib = time.monotonic() + 60.0 * minutes * (1.0 - on_bus), _memory_mib()
+    until_s, memory_mib = time.monotonic() + 60.0 * minutes * (1.0 - guided - on_bus), _memory_mib()
     round_number = 0
     while time.monotonic() < until_s:
         for name, subject in subjects().items():
@@ -56,6 +60,8 @@ def main(minutes: float, seed: int) -> int:
     inputs = sum(outcomes.inputs for outcomes in by_name.values())
     memory = f"{memory_mib:.0f} MiB after the first round, {_memory_mib():.0f} at the end"
     print(f"{inputs} inputs with seed {seed}; most memory {memory}", flush=True)
+    if guided:
+        failures += fuzz_guided(60.0 * minutes * guided, seed)
     if on_bus:
         failures += fuzz_facility(60.0 * minutes * on_bus, seed)
     for text, count in failures.most_common():
@@ -72,14 +78,15 @@ def _fuzz(subject: Subject, outcomes: Outcomes, rnd: Random, until_s: float) -> 
 
 def take(subject: Subject, outcomes: Outcomes, data: bytes) -> None:
     """Have one input read, and note what came of it."""
-    read_s = time.process_time()
+    failure, read_s, memory_mib = "", time.process_time(), _memory_mib()
     try:
         outcomes.accepted += subject.read(data)
-        failure = (
-            f"{subject.name}: took more than {SLOW_S:g} s" if time.process_time() - read_s > SLOW_S else ""
-        )
     except Exception as error:  # noqa: BLE001 - every kind is a finding
         failure = f"{subject.name}: {_kind(error)}"
+    if time.process_time() - read_s > SLOW_S:
+        failure = f"{subject.name}: took more than {SLOW_S:g} s"
+    if _memory_mib() - memory_mib > LARGE_MIB:
+        failure = f"{subject.name}: took more than {LARGE_MIB:g} MiB"
     outcomes.inputs += 1
     if failure:
         if failure not in outcomes.failures:

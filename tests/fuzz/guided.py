@@ -24,7 +24,7 @@ PACKAGES = (
 """What is instrumented: readers, but no module that is compiled."""
 _LONGEST_INPUT = 65_536
 _END_S = 120.0
-_RUNS = re.compile(r"Done (\d+) runs")
+_RUNS = re.compile(r"number_of_executed_units: (\d+)")
 _FAILURE = "failure: "
 _SLOW = ("log", "configuration", "target")
 """In the names of subjects of which one input takes 10 ms or more."""
@@ -33,7 +33,7 @@ _SLOW = ("log", "configuration", "target")
 def fuzz_guided(budget_s: float, seed: int) -> Counter[str]:
     """Fuzz for so long in a process of its own; return what was found."""
     if find_spec("atheris") is None:
-        print("guided by coverage: Atheris is not installed; it has wheels for Linux on x86-64")
+        print("guided by coverage: left out, since Atheris is not installed (pip install --group fuzz)")
         return Counter()
     with TemporaryDirectory() as folder:
         command = (sys.executable, "-m", "fuzz.guided", f"{budget_s:.0f}", str(seed), folder)

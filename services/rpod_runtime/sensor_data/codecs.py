@@ -85,12 +85,13 @@ def _check_size(data: NDArray[np.uint8]) -> None:
     within(IMAGE_SIDE, "width", width)
     within(IMAGE_SIDE, "height", height)
     within(IMAGE_PIXELS, "width x height", width * height)
+    if data[0] == _PNG[0]:
+        _check_chunks(data)
 
 
 def _png_size(data: NDArray[np.uint8]) -> tuple[int, int] | None:
     if data.size < 24 or data[:8].tobytes() != _PNG:
         return None
-    _check_chunks(data)
     return int.from_bytes(data[20:24].tobytes()), int.from_bytes(data[16:20].tobytes())
 
 

@@ -131,6 +131,7 @@ def test_a_damaged_chain_is_one_error(tmp_path, text):
     [
         ("continues", "../other/run.mcap"),
         ("continues", ""),
+        ("continues", "a" * 300),
         ("certificate", "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"),
         ("certificate", "\ud800"),
     ],

@@ -48,6 +48,7 @@ def test_the_info_tells_the_pattern_and_the_range_noise():
     ("build", "reason"),
     [
         (lambda: ScanPatternConfig(step_deg=0.7), "whole number of steps"),
+        (lambda: ScanPatternConfig(step_deg=5e-324), "is inf times step_deg, needs to be a whole number"),
         (lambda: LidarConfig(rate_hz=6.0), "a scan takes 0.168 s"),
         (lambda: LidarDetectionConfig(excess_noise_factor=3.0), "only with gain_on_variance: squared"),
         (lambda: LidarConfig(wavelength_m=1e-6), "Extra inputs"),

@@ -32,7 +32,7 @@ class ScanPatternConfig(Config):
     def _spans_are_whole_steps(self) -> Self:
         for name in ("azimuth_span_deg", "elevation_span_deg"):
             steps = getattr(self, name) / self.step_deg
-            if abs(steps - round(steps)) > 1e-6:
+            if not np.isclose(steps, np.rint(steps), rtol=0.0, atol=1e-6) or np.isinf(steps):
                 raise ValueError(f"{name} is {steps:.3f} times step_deg, needs to be a whole number of steps")
         return self
 
