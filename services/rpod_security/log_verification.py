@@ -152,13 +152,7 @@ class _Check:
         if head.log != self._log.name:
             result.notes.append(f"it was recorded as {head.log}")
         if head.continues is not None:
-            if len(os.fsencode(head.continues)) > _LONGEST_NAME:
-                raise ValueError(f"continues has more than {_LONGEST_NAME} bytes")
-            before = self._log.with_name(head.continues)
-            if not chain_of(before).exists():
-                result.notes.append(f"{head.continues}, which it continues, is not beside it")
-            elif last_digest(before) != head.continued:
-                result.problems.append(f"the chain of {head.continues}, which it continues, was changed")
+            self._follow(head.continues, head.continued)
         if head.certificate is None:
             result.notes.append("the chain has no signatures: it shows damage, but not forgery")
             if self._authority is not None:
@@ -172,6 +166,16 @@ class _Check:
             result.notes.append("whose certificate that is was not checked: give the authority's")
         elif reason := self._signatory.rejection(self._authority, when=head.time.astimezone(UTC)):
             result.problems.append(reason)
+
+    def _follow(self, continues: str, continued: str) -> None:
+        """Check the log that this one continues, by its name and the last digest of its chain."""
+        if len(os.fsencode(continues)) > _LONGEST_NAME:
+            raise ValueError(f"continues has more than {_LONGEST_NAME} bytes")
+        before = self._log.with_name(continues)
+        if not chain_of(before).exists():
+            self._result.notes.append(f"{continues}, which it continues, is not beside it")
+        elif last_digest(before) != continued:
+            self._result.problems.append(f"the chain of {continues}, which it continues, was changed")
 
     def _compare(self, stream: IO[bytes]) -> _Seal | None:
         """Compare the log's bytes with the chain; return the last line about them."""
