@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from fuzz import pictures
 from fuzz.calls import call_subjects
+from fuzz.devices import device_subjects
 from fuzz.logs import log_subjects
 from fuzz.meshes import mesh_subjects
 from fuzz.mutation import json_of, mutate_bytes, mutate_document, mutate_message
@@ -125,9 +126,8 @@ class Subject:
 @cache
 def subjects() -> dict[str, Subject]:
     """Return all subjects by name."""
-    others = (
-        Subject(*each) for each in (*call_subjects(), *record_subjects(), *log_subjects(), *mesh_subjects())
-    )
+    kinds = (call_subjects, record_subjects, log_subjects, mesh_subjects, device_subjects)
+    others = (Subject(*each) for of_kind in kinds for each in of_kind())
     found = (*_messages(), *_wire(), *_requests(), *_configurations(), *others)
     return {subject.name: subject for subject in found}
 

@@ -1,5 +1,8 @@
 """An ifm O3R: its buffers are read as its SDK reads them, and what cannot be used is refused by name."""
 
+import struct
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ifm_recording import BUFFER, LENS, FakeSdk, configuration, recorded, tof_info_bytes
@@ -50,6 +53,42 @@ def test_several_buffers_in_one_file_are_several_frames():
 def test_a_damaged_recording_is_refused_with_the_place(content, reason):
     with pytest.raises(RecordingError, match=reason):
         list(buffers(content, "recorded"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "reason"),
+    [
+        (
+            RADIAL_DISTANCE,
+            {"metadata": {"DistanceResolution": "0.001"}},
+            "DistanceResolution of image 100 is '0",
+        ),
+        (RADIAL_DISTANCE, {"metadata": {"DistanceResolution": float("nan")}}, "nan, needs a number above 0"),
+        (RADIAL_DISTANCE, {"metadata": {"DistanceResolution": [1, 2]}}, "needs a number above 0"),
+        (AMPLITUDE, {"width": 100}, "image 101 has 100 x 172 pixels, the radial distance 224 x 172"),
+        (CONFIDENCE, {"pixel_format": 6, "data": bytes(4 * 224 * 172)}, "float32, needs integers"),
+    ],
+)
+def test_images_that_do_not_fit_are_refused_by_name(kind, changes, reason):
+    chunks = recorded()
+    with pytest.raises(RecordingError, match=reason):
+        images_of(chunks | {kind: replace(chunks[kind], **changes)})
+
+
+@pytest.mark.parametrize(("at", "value"), [(0, np.nan), (1, -1.0), (5, np.inf)])
+def test_a_lens_with_terms_that_none_has_is_refused(at, value):
+    damaged = bytearray(tof_info_bytes())
+    struct.pack_into("<f", damaged, 0x34 + 4 * at, value)
+    with pytest.raises(TofInfoError, match=r"give it as device\.calibration"):
+        read_tof_info(bytes(damaged))
+
+
+def test_a_lens_to_which_no_polynomial_can_be_fitted_is_refused():
+    damaged = bytearray(tof_info_bytes())
+    struct.pack_into("<2f", damaged, 0x34, 1e-44, 1e-44)
+    struct.pack_into("<f", damaged, 0x34 + 4 * 9, 3e38)
+    with pytest.raises(TofInfoError, match=r"the lens cannot be used .*; give it as device\.calibration"):
+        read_tof_info(bytes(damaged)).camera(224, 172)
 
 
 def test_depth_lies_along_the_boresight_and_not_along_the_rays():

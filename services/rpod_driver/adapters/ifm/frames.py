@@ -19,6 +19,8 @@ from rpod_driver.errors import RecordingError
 from rpod_geometry.lens import ray_cosines
 from rpod_schemas.types import Camera, Float32Array, PmdFrame
 
+_COARSEST = 1e6
+"""Largest value of one count: far above that of any device, so that products stay finite."""
 _INVALID = 1
 """Bit of a pixel's confidence: it is not valid (ifm documentation, confidenceImage.md)."""
 
@@ -52,18 +54,23 @@ def images_of(chunks: dict[int, Chunk]) -> IfmImages:
         told = ", ".join(str(kind) for kind in sorted(chunks)) or "none"
         raise RecordingError("buffer", f"no image {RADIAL_DISTANCE} (radial distance), it holds {told}")
     distance = chunks[RADIAL_DISTANCE]
+    others = [chunks[kind] for kind in (AMPLITUDE, DISTANCE_NOISE, CONFIDENCE) if kind in chunks]
+    for other in others:
+        if (other.width, other.height) != (distance.width, distance.height):
+            raise RecordingError(
+                "buffer",
+                f"image {other.type} has {other.width} x {other.height} pixels, the radial distance "
+                f"{distance.width} x {distance.height}; record it again",
+            )
     info, problem = tof_info_of(chunks[TOF_INFO].data if TOF_INFO in chunks else b"")
-    metres = distance.metadata.get("DistanceResolution", info and info.distance_resolution_m)
-    if not metres:
-        raise RecordingError("buffer", "neither metadata nor TOF_INFO give the resolution of the distance")
-    noise = _scaled(chunks.get(DISTANCE_NOISE), metres)
-    confidence = chunks[CONFIDENCE].image() if CONFIDENCE in chunks else None
+    metres = _resolution(distance, "DistanceResolution", None if info is None else info.distance_resolution_m)
+    noise = chunks.get(DISTANCE_NOISE)
     return IfmImages(
         stamp_ns=middle_ns(info, distance.stamp_ns),
-        range_m=(distance.image() * metres).astype(np.float32),
-        sigma_m=noise,
+        range_m=_scaled(distance, metres),
+        sigma_m=None if noise is None else _scaled(noise, metres),
         amplitude=_amplitude(chunks.get(AMPLITUDE), info),
-        confidence=confidence,
+        confidence=_bits(chunks.get(CONFIDENCE)),
         tof_info=info,
         problem=problem,
     )
@@ -85,19 +92,40 @@ def middle_ns(info: TofInfo | None, stamp_ns: int) -> int:
     return (min(exposures) + max(exposures)) // 2 if exposures else stamp_ns
 
 
-def _scaled(chunk: Chunk | None, resolution: float) -> Float32Array | None:
-    return None if chunk is None else (chunk.image() * resolution).astype(np.float32)
+def _resolution(chunk: Chunk, name: str, of_info: float | None) -> float:
+    """Return the value of one count, from the metadata or else from TOF_INFO. Raises ``RecordingError``."""
+    given = chunk.metadata.get(name, of_info)
+    if given is None:
+        raise RecordingError("buffer", f"neither metadata nor TOF_INFO give {name} of image {chunk.type}")
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= _COARSEST:
+        raise RecordingError(
+            "buffer", f"{name} of image {chunk.type} is {given!r:.40}, needs a number above 0"
+        )
+    return float(given)
+
+
+def _scaled(chunk: Chunk, resolution: float) -> Float32Array:
+    with np.errstate(over="ignore"):  # of a count that is as large as no distance is
+        return (chunk.image() * resolution).astype(np.float32)
 
 
 def _amplitude(chunk: Chunk | None, info: TofInfo | None) -> Float32Array | None:
     """Return amplitudes from their square roots: (count - 1) squared times the resolution; -1 for none."""
     if chunk is None:
         return None
-    resolution = chunk.metadata.get("AmplitudeResolution", info and info.amplitude_resolution)
-    if not resolution:
-        raise RecordingError("buffer", "neither metadata nor TOF_INFO give the resolution of the amplitude")
+    of_info = None if info is None else info.amplitude_resolution
+    resolution = _resolution(chunk, "AmplitudeResolution", of_info)
     root = chunk.image().astype(np.float64) - 1.0
-    return np.where(root >= 0.0, root * root * resolution, -1.0).astype(np.float32)
+    with np.errstate(over="ignore"):
+        return np.where(root >= 0.0, root * root * resolution, -1.0).astype(np.float32)
+
+
+def _bits(chunk: Chunk | None) -> NDArray[Any] | None:
+    """Return an image of bits. Raises ``RecordingError`` if its pixels are no integers."""
+    image = None if chunk is None else chunk.image()
+    if image is not None and image.dtype.kind not in "iu":
+        raise RecordingError("buffer", f"image {CONFIDENCE} (confidence) is {image.dtype}, needs integers")
+    return image
 
 
 class FrameMaker:

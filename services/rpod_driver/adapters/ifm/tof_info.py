@@ -44,19 +44,30 @@ class TofInfo:
     """Stamps of the frame's exposures by the device's clock, ns; those that were not used are left out."""
 
     def camera(self, width: int, height: int) -> Camera:
-        """Return the lens for images of a size: the rational polynomial fitted to model 0."""
+        """Return the lens for images of a size: the rational polynomial fitted to model 0.
+
+        Raises:
+            TofInfoError: no lens can be fitted to the terms.
+        """
         fx, fy, cx, cy, *_ = self.intrinsic
         farthest = np.hypot(max(cx, width - cx) / fx, max(cy, height - cy) / fy)
         imaged = np.linspace(0.0, farthest, _RADII + 1)[1:]
-        slope = imaged * self._radial(imaged**2)
+        with np.errstate(over="ignore"):  # what is not finite is refused below
+            slope = imaged * self._radial(imaged**2)
 
         def missed(k: NDArray[np.float64]) -> NDArray[np.float64]:
             above, below = (1.0 + slope**2 * np.polyval(half[::-1], slope**2) for half in (k[:3], k[3:]))
             return np.asarray(slope * above / below - imaged)
 
-        k1, k2, k3, k4, k5, k6 = least_squares(missed, np.zeros(6), method="lm", x_scale="jac").x
-        lens = np.array([k1, k2, 0.0, 0.0, k3, k4, k5, k6])
-        return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx - 0.5, cy=cy - 0.5, distortion=lens)
+        try:
+            with np.errstate(all="ignore"):
+                k1, k2, k3, k4, k5, k6 = least_squares(missed, np.zeros(6), method="lm", x_scale="jac").x
+            lens = np.array([k1, k2, 0.0, 0.0, k3, k4, k5, k6])
+            return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx - 0.5, cy=cy - 0.5, distortion=lens)
+        except ValueError as error:  # terms with which no lens can be fitted, or a lens that is none
+            raise TofInfoError(
+                f"the lens cannot be used ({str(error).splitlines()[0]}); give it as device.calibration"
+            ) from error
 
     def _radial(self, rr: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the slope of directions over the distance of their pixels, of squared distances."""
@@ -93,6 +104,11 @@ def read_tof_info(data: bytes) -> TofInfo:
             f"the lens has model {model}, skew {skew:g} and tangential terms {p1:g} and {p2:g}, known is "
             "model 0 without skew and tangential terms (2 is a fisheye lens); calibrate it, and give it as "
             "device.calibration"
+        )
+    if not np.isfinite(intrinsic[:10]).all() or min(intrinsic[:2]) <= 0.0:
+        raise TofInfoError(
+            f"the lens has fx {intrinsic[0]:g}, fy {intrinsic[1]:g} and terms that are not all finite; "
+            "give it as device.calibration"
         )
     stamps = _STAMPS.unpack_from(data, _STAMPS_AT)
     exposures = tuple(stamp for stamp in stamps if stamp)
