@@ -1,6 +1,7 @@
 """A service as a process: its files, its start, and the pipe whose end it takes as the end of its parent."""
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -13,6 +14,8 @@ from rpod_runtime.process.lifecycle import SUPERVISED
 from rpod_schemas.caches.whole_file import whole_file
 
 _TAIL_BYTES = 1 << 14
+_LOG_BYTES = 16 << 20
+"""Size of a file of log lines at which it is moved aside; the one before is kept."""
 
 
 class ServiceFiles:
@@ -51,6 +54,17 @@ class ServiceFiles:
                 start_new_session=True,
                 env=os.environ | {SUPERVISED: "1"} | environment,
             )
+
+    def shorten_log(self) -> None:
+        """Copy long log lines to ``<name>.log.1`` and empty their file, in which the process goes on.
+
+        Lines that are written between both steps are lost. On a full disk the copy is left out.
+        """
+        if not self.log.exists() or self.log.stat().st_size <= _LOG_BYTES:
+            return
+        with suppress(OSError):
+            shutil.copyfile(self.log, self.log.with_suffix(".log.1"))
+        os.truncate(self.log, 0)
 
     def last_lines(self, count: int) -> list[str]:
         """Return the newest log lines, at most ``count``; none before the first start."""

@@ -26,6 +26,22 @@ time.sleep(60.0)
 """
 
 
+def test_long_log_lines_are_moved_aside_while_the_process_writes_on(tmp_path: Path):
+    files = ServiceFiles(tmp_path, "router")
+    process = files.start(["--version"], {})  # the file of log lines is open in it
+    assert process.wait(60.0) == 0
+    version = files.log.read_bytes()
+    files.shorten_log()
+    assert files.log.read_bytes() == version
+    with files.log.open("ab") as stream:  # as the process has it
+        stream.write(bytes(17 << 20))
+        stream.flush()
+        files.shorten_log()
+        stream.write(b"the next line")
+    assert files.log.read_bytes() == b"the next line"
+    assert files.log.with_suffix(".log.1").read_bytes() == version + bytes(17 << 20)
+
+
 def test_a_configuration_that_changes_during_the_start_is_read_again_when_the_service_is_ready(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -24,8 +24,6 @@ log = logging.getLogger(__name__)
 
 _STARTING_S = 1.0
 """Time that a service that is not ready yet gets to end by itself, s; a compilation cannot be interrupted."""
-_LOG_BYTES = 16 << 20
-"""Size of a file of log lines at which a restart begins a new one; the one before is kept."""
 
 DaemonState = Literal["starting", "ready", "failing", "waiting", "ended", "refused", "stopping", "stopped"]
 """``waiting`` is the wait before a restart, ``ended`` is over for good, ``refused`` has a wrong
@@ -121,8 +119,6 @@ class Daemon:
 
     def _spawn(self, *, in_reserve: bool = False) -> subprocess.Popen[bytes]:
         self._files.write_config(self.service.config)
-        if self.log.exists() and self.log.stat().st_size > _LOG_BYTES:
-            self.log.replace(self.log.with_suffix(".log.1"))
         environment = {
             "NOTIFY_SOCKET": str(self._address),
             "WATCHDOG_USEC": str(round(1e6 * self.service.settings.hang_s)),
@@ -135,6 +131,7 @@ class Daemon:
     def turn(self) -> None:
         """Read the process's reports, notice its end or a hang, and start it again when that is due."""
         self._listen()
+        self._files.shorten_log()
         if self._process is not None:
             code = self._process.poll()
             if code is not None:
