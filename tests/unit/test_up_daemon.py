@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rpod.service_process import ServiceFiles
+from rpod.service_process import ServiceFiles, close_pipe
 from rpod.up.daemon import Daemon
 from rpod.up.resolved import resolve_facility
 from rpod_schemas.config.facility.hosts import BackoffConfig
@@ -30,6 +30,7 @@ def test_long_log_lines_are_moved_aside_while_the_process_writes_on(tmp_path: Pa
     files = ServiceFiles(tmp_path, "router")
     process = files.start(["--version"], {})  # the file of log lines is open in it
     assert process.wait(60.0) == 0
+    close_pipe(process)
     version = files.log.read_bytes()
     files.shorten_log()
     assert files.log.read_bytes() == version
