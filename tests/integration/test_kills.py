@@ -6,6 +6,7 @@
 from random import Random
 
 import pytest
+
 from endurance.facility import SERVICES, kept_facility
 from endurance.kills import Kill, desk
 
