@@ -1,6 +1,6 @@
 """Runs in lockstep for tests: motion, emulator and estimator in threads, and the test in the logger's place.
 
-As a process, ``python -m lockstep_bench``, it plays the runs of ``SENSORS`` on a router of its own, and writes
+As a process, ``python -m lockstep_bench``, it plays the runs of ``SENSORS`` on a router of its own and writes
 digests of what they published, for comparisons with runs in other processes.
 """
 
