@@ -71,7 +71,12 @@ class KeptFacility:
 
 @contextmanager
 def kept_facility(
-    folder: Path, *, rate_hz: float, logger: dict[str, Any] | None = None, reserve: bool = False
+    folder: Path,
+    *,
+    rate_hz: float,
+    sensor: str = "pmd",
+    logger: dict[str, Any] | None = None,
+    reserve: bool = False,
 ) -> Iterator[KeptFacility]:
     """Run router, motion, emulator, estimator and logger under ``rpod up``, until all are at work.
 
@@ -80,7 +85,8 @@ def kept_facility(
 
     Args:
         folder: empty folder of its files.
-        rate_hz: frames of the camera a second.
+        rate_hz: frames of the sensor a second.
+        sensor: kind of the sensor.
         logger: more fields of the logger's configuration.
         reserve: whether the services have a process in reserve.
     """
@@ -95,10 +101,10 @@ def kept_facility(
         "services": {
             "router": {"verb": "router"},
             "logger": {"verb": "logger", "config": files | (logger or {})},
-            "estimator": {"verb": "estimator", "config": target | {"sensors": [{"kind": "pmd"}]}},
+            "estimator": {"verb": "estimator", "config": target | {"sensors": [{"kind": sensor}]}},
             "emulator": {
                 "verb": "emulator",
-                "config": target | {"sensors": [{"kind": "pmd", "rate_hz": rate_hz}]},
+                "config": target | {"sensors": [{"kind": sensor, "rate_hz": rate_hz}]},
             },
             "motion": {"verb": "motion", "config": target | motion},
         },

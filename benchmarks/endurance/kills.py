@@ -53,6 +53,8 @@ class Kill:
     not depend on what else the machine does."""
     lost_s: float
     """Truth that no file holds, s, where the logger was killed; 0 of the others."""
+    from_reserve: bool
+    """Whether the new process is the one that waited in reserve."""
     wrong: tuple[str, ...]
     """Records of completeness that do not agree with what happened."""
 
@@ -146,18 +148,22 @@ class Desk:
             begins_ns = self._watch.truth_since_ns(truth_gid) if name == "motion" else 0
             return None if begins_ns is None else self._watch.tracked(max(killed_ns, begins_ns), gid)
 
-        def at_work() -> tuple[float, float] | None:
+        def at_work() -> tuple[float, float, bool] | None:
             new = self._facility.ready(name, restarts)
-            return (time.monotonic(), processor_s(new["pid"]) - spent_s) if new else None
+            if not new:
+                return None
+            return time.monotonic(), processor_s(new["pid"]) - spent_s, new["pid"] == told.get("reserve_pid")
 
-        tracked_s, (ready_s, spent_s) = both(tracked, at_work, f"{name}: a track, and at work")
+        tracked_s, (ready_s, spent_s, from_reserve) = both(tracked, at_work, f"{name}: a track, and at work")
         if echo_s is None:
             echo_s = until(lambda: self._echo.first_after(killed_s), "an echo", _RECOVERY_S) - killed_s
         self._node.stop.wait(_SETTLE_S)
         self._split()
         lost_s = self._lost_s() if name == "logger" else 0.0
         wrong = tuple(self._wrong(killed=name))
-        return Kill(name, tracked_s - killed_s, ready_s - killed_s, echo_s, spent_s, lost_s, wrong)
+        return Kill(
+            name, tracked_s - killed_s, ready_s - killed_s, echo_s, spent_s, lost_s, from_reserve, wrong
+        )
 
     def _kill_echo(self) -> float:
         """Kill the echo's process and start it again as ``rpod up`` would; return how long that took, s."""
@@ -197,8 +203,8 @@ class Desk:
 
 
 def both(
-    one: Callable[[], float | None], other: Callable[[], tuple[float, float] | None], what: str
-) -> tuple[float, tuple[float, float]]:
+    one: Callable[[], float | None], other: Callable[[], tuple[float, float, bool] | None], what: str
+) -> tuple[float, tuple[float, float, bool]]:
     """Wait until two functions have returned something, in any order; return what each returned first."""
     found: dict[str, Any] = {}
 

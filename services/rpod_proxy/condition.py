@@ -2,7 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from random import Random
 
+CHUNK_BYTES = 16_384
+"""Largest number of bytes that are passed on at a time."""
+_PACKET_BYTES = 1_448
+_TIMEOUT_S, _ROUND_TRIP_S = 0.2, 1e-3
 MBIT = 125_000.0
 """Bytes of a megabit."""
 
@@ -23,6 +28,20 @@ class Condition:
     """Whether all that is sent is lost, without a word to either side."""
     cut: bool = False
     """Whether each connection is closed at once."""
+
+    def lost_s(self, size: int, *, more: bool, random: Random) -> float:
+        """Return the time that the lost packets of some data cost, s.
+
+        A lost packet costs the time in which TCP sends it again: a round trip where more data follow, whose
+        arrival tells the sender of the gap, else the least time-out of Linux (RFC 6298; ``TCP_RTO_MIN``
+        200 ms).
+        """
+        if not self.loss:
+            return 0.0
+        lost = [random.random() < self.loss for _ in range(-(-size // _PACKET_BYTES))]
+        if not any(lost):
+            return 0.0
+        return _TIMEOUT_S if lost[-1] and not more else max(2.0 * self.delay_s, _ROUND_TRIP_S)
 
 
 GOOD = Condition()

@@ -2,9 +2,6 @@
 
 The proxy holds as little as it can: the kernel's buffers are small, and its own holds what is on its way. So
 a slow link fills the sender's queue, as a real one does, not the proxy's.
-
-A lost packet costs the time in which TCP sends it again: a round trip where more data follow, whose arrival
-tells the sender of the gap, else the least time-out of Linux (RFC 6298; ``TCP_RTO_MIN`` 200 ms).
 """
 
 import asyncio
@@ -14,14 +11,12 @@ import struct
 import time
 from contextlib import suppress
 
-from rpod_proxy.condition import GOOD, Condition
+from rpod_proxy.condition import CHUNK_BYTES, GOOD, Condition
 
-_CHUNK_BYTES, _PACKET_BYTES = 16_384, 1_448
 _BUFFER_BYTES = 65_536
 """Size of the kernel's buffers and, beside what is on its way, of the proxy's own."""
 _FASTEST_B_S = 100e6
 """Rate of a link without a limit by which the bytes on their way are counted."""
-_TIMEOUT_S, _ROUND_TRIP_S = 0.2, 1e-3
 _POLL_S = 0.005
 
 Address = tuple[str, int]
@@ -98,7 +93,7 @@ class Relay:
         waiting = _Waiting()
         sending = asyncio.create_task(self._send(waiting, writer))
         with suppress(OSError):
-            while not waiting.given_up and (data := await reader.read(_CHUNK_BYTES)):
+            while not waiting.given_up and (data := await reader.read(CHUNK_BYTES)):
                 await waiting.put(data, room=self._room())
         await waiting.put(b"", room=None)
         await sending
@@ -124,7 +119,7 @@ class Relay:
                 return
             if self._condition.dead:
                 continue
-            lost_s = self._lost_s(len(data), more=bool(waiting))
+            lost_s = self._condition.lost_s(len(data), more=bool(waiting), random=self._random)
             if lost_s:
                 await asyncio.sleep(lost_s)
             if self._condition.rate_B_s:
@@ -140,17 +135,6 @@ class Relay:
             await asyncio.sleep(min(left_s, _POLL_S * 4))
         while self._condition.stalled or (is_end and self._condition.dead):
             await asyncio.sleep(_POLL_S)
-
-    def _lost_s(self, size: int, *, more: bool) -> float:
-        """Return the time that the lost packets of some data cost."""
-        if not self._condition.loss:
-            return 0.0
-        packets = -(-size // _PACKET_BYTES)
-        lost = [self._random.random() < self._condition.loss for _ in range(packets)]
-        if not any(lost):
-            return 0.0
-        last_one = lost[-1] and not more
-        return _TIMEOUT_S if last_one else max(2.0 * self._condition.delay_s, _ROUND_TRIP_S)
 
 
 class _Waiting:

@@ -12,7 +12,7 @@ from rpod_schemas.config.surroundings import BoxThing, CylinderThing, MeshThing,
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_target import Material, Target
 from rpod_target.build.surfaces import box_surface, cylinder_surface
-from rpod_target.mesh.files import surface_m
+from rpod_target.mesh.folder import surface_m
 from rpod_target.mesh.topology import unit_normals
 from rpod_target.parameters import BoxParameters, CylinderParameters
 from rpod_target.target import Int32Array

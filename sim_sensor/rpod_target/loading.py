@@ -20,7 +20,9 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
-from rpod_target.mesh.files import MeshFile, companions
+from rpod_target.mesh.files import MeshFile
+from rpod_target.mesh.folder import read_files
+from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
 from rpod_target.target import DistanceField, Joint, Material, Target
 from rpod_target.variation import Variation, split
@@ -90,7 +92,13 @@ def load_target(
 
 def _bare(parameters: TargetParameters) -> TargetParameters:
     """Return parameters without the fields that change no array."""
-    parts = tuple(part.model_copy(update={"joint": None}) for part in parameters.parts)
+    parts = tuple(
+        part.model_copy(
+            update={"joint": None}
+            | ({"largest_file_mb": LARGEST_FILE_MB} if isinstance(part, MeshParameters) else {})
+        )
+        for part in parameters.parts
+    )
     others = {"symmetries": (), "frames": {}, "joints": {}, "tolerance_m": 0.0, "scale_tolerance": 0.0}
     return parameters.model_copy(update={"parts": parts, **others})
 
@@ -238,18 +246,20 @@ def _named_materials(part: PartParameters) -> Iterator[tuple[str, str]]:
 
 def _read_meshes(parameters: TargetParameters, path: Path) -> dict[str, bytes]:
     """Return the bytes of all mesh files, and of the files beside them that they refer to and that exist."""
-    meshes = {}
+    meshes: dict[str, bytes] = {}
     for index, part in enumerate(parameters.parts):
-        if isinstance(part, MeshParameters):
-            file = path.parent / part.file
+        if isinstance(part, MeshParameters) and part.file not in meshes:
+            file, field = path.parent / part.file, f"parts.{index}.file"
             try:
-                meshes[part.file] = file.read_bytes()
+                meshes[part.file], beside = read_files(
+                    file, largest_mb=part.largest_file_mb, raised_by="largest_file_mb: "
+                )
             except OSError as error:
-                reason = f"mesh {file} cannot be read ({error.strerror})"
-                raise TargetError(path, f"parts.{index}.file", reason) from error
-            for name in companions(part.file, meshes[part.file]):
-                with contextlib.suppress(OSError):  # colours are not needed; the reader names what is
-                    meshes[str(Path(part.file).parent / name)] = (file.parent / name).read_bytes()
+                raise TargetError(path, field, f"mesh {file} cannot be read ({error.strerror})") from error
+            except ValueError as error:
+                raise TargetError(path, field, f"{part.file} {error}") from error
+            folder = Path(part.file).parent
+            meshes |= {str(folder / name): content for name, content in beside.items()}
     return meshes
 
 

@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_schemas.arrays import FloatArray, Matrix3, Vector3
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose
+from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.target import Albedo
 
 SMALLEST_M, LARGEST_M = 0.05, 500.0
@@ -144,6 +145,9 @@ class MeshParameters(_PartParameters):
     largest_error_m: Positive | None = None
     """Largest distance between the file's surface and the triangles that replace it, where the file has
     more than 20,000; by default a thousandth of the part's longest side."""
+    largest_file_mb: Positive = LARGEST_FILE_MB
+    """Largest size of the file with the files that it refers to, MB. A larger one is refused before it is
+    read, since reading takes several times its size in memory."""
     longest_side_m: Positive | None = None
     """Length to which the longest side of the file's bounding box is scaled."""
     metres_per_unit: Positive | None = None
@@ -163,6 +167,7 @@ class MeshParameters(_PartParameters):
             "object": None,
             "file_materials": {},
             "largest_error_m": None,
+            "largest_file_mb": LARGEST_FILE_MB,
             "unreliable": False,
             "joint": None,
         }

@@ -8,9 +8,14 @@ from pathlib import Path
 import pytest
 from facility_process import FacilityProcess
 
+from rpod.scenarios import find
+from rpod_analysis.log import open_log
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.topics import DIAGNOSTICS
 from rpod_security.audit import check
 
 PKI = "pki"
+FAULT = {"fault": "link_delay", "service": "estimator", "size": 0.02, "start_s": 0.5, "duration_s": 1.0}
 
 
 def rpod(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -29,8 +34,11 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(folder: Path):
+    scenario = folder / "delayed.json"
+    document = dict(find("mockup-tumbling")) | {"name": "delayed", "faults": [FAULT]}
+    scenario.write_text(Scenario.model_validate(document).model_dump_json(), "utf-8")
     run = FacilityProcess(
-        "mockup-tumbling",
+        str(scenario),
         "--duration",
         "2",
         "--secure",
@@ -55,6 +63,21 @@ def test_a_secure_run_misses_nothing(finished):
     assert summary.estimates.count + summary.estimates.rejected > 0, (
         "how many are right depends on the machine"
     )
+
+
+def test_a_fault_of_a_link_is_injected_into_its_encrypted_bytes(finished):
+    (fault,) = finished.summary.faults
+    assert (fault.fault, fault.where, fault.size) == ("link_delay", "estimator", 0.02)
+    with open_log(finished.log) as log:
+        statuses = [status for logged in log.messages(DIAGNOSTICS) for status in logged.decode().status]
+    passed = [
+        int(value.value)
+        for status in statuses
+        if status.name == "proxy"
+        for value in status.values
+        if value.key == "passed_bytes/estimator"
+    ]
+    assert max(passed) > 100_000, "its images"
 
 
 def test_no_key_is_in_anything_that_a_run_leaves(finished, folder: Path):

@@ -12,13 +12,8 @@ import psutil
 import pytest
 import yaml
 from facility_process import DEADLINE_S, Lines, until
-from live_bus import Bus, first
 
-from rpod_runtime import Inbox
 from rpod_runtime.bus.session import free_endpoint
-from rpod_schemas.messages import read_status
-from rpod_schemas.topics import STATUS
-from rpod_schemas.types import Mode
 
 TARGET = {"target": "mockup"}
 APPROACH = {"trajectory": {"kind": "approach", "start_m": [0, 0, 4.0], "end_m": [0, 0, 3.9]}}
@@ -81,48 +76,6 @@ def up(tmp_path):
             return facility
 
         yield start
-
-
-def test_for_a_killed_estimator_and_router_those_in_reserve_take_over_and_ps_says_so(up):
-    facility = up(
-        {
-            "router": {"verb": "router", "reserve": True},
-            "estimator": {
-                "verb": "estimator",
-                "reserve": True,
-                "config": TARGET | {"sensors": [{"kind": "lidar"}]},
-            },
-            "emulator": {
-                "verb": "emulator",
-                "config": TARGET | {"sensors": [{"kind": "lidar", "rate_hz": 5}]},
-            },
-            "motion": {"verb": "motion", "config": TARGET | {"duration_s": 3600, "motion": APPROACH}},
-        }
-    )
-    before = facility.service("estimator")
-    with ExitStack() as stack:
-        statuses = Inbox()
-        Bus(facility.endpoint, stack).node("listener").subscribe(STATUS, statuses.put)
-        tracks = lambda one: read_status(one.decode()).mode is Mode.TRACKING and one.attachment.gid  # noqa: E731
-        first_gid = first(statuses, tracks, DEADLINE_S)
-        reserve = until(lambda: (told := facility.service("estimator"))["reserve"] == "ready" and told)
-        psutil.Process(before["pid"]).kill()
-        again = lambda one: tracks(one) not in (False, first_gid)  # noqa: E731 - of another process
-        assert first(statuses, again, DEADLINE_S)
-        router = until(lambda: (told := facility.service("router"))["reserve"] == "ready" and told)
-        psutil.Process(router["pid"]).kill()
-        assert facility.service("router", restarts=1)["pid"] == router["reserve_pid"]
-        back_ns = time.time_ns()
-        assert first(statuses, lambda one: one.arrival_ns > back_ns and tracks(one), DEADLINE_S)
-    after = facility.service("estimator", restarts=1)
-    assert after["pid"] == reserve["reserve_pid"]
-    assert after["pid"] != before["pid"]
-    assert after["last_end"] == "was killed by SIGKILL"
-    code, told = facility.ask("ps")
-    assert code == 0
-    assert [each["restarts"] for each in told["services"]] == [1, 1, 0, 0]
-    facility.process.send_signal(signal.SIGTERM)
-    assert facility.process.wait(DEADLINE_S) == 0
 
 
 def test_a_motion_that_is_started_again_says_that_it_begins_anew_and_one_that_is_stopped_has_not_finished(up):

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from rpod.play.command import run_command
 from rpod.play.facility import configure
 from rpod.play.fault_player import FaultPlayer
+from rpod.play.secure_run import ROLES, secured
 from rpod.scenarios import find
 from rpod_runtime.errors import RefusedError
 from rpod_schemas.config.pmd.reduced_rate import ReducedRateConfig
@@ -17,6 +18,8 @@ from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.control import FaultRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.faults.injected import read_faults
+from rpod_security.authority import Authority
+from rpod_security.errors import CredentialsError
 
 SECOND_NS = 1_000_000_000
 EPOCH_NS = 100 * SECOND_NS
@@ -121,6 +124,28 @@ def test_only_links_with_faults_pass_through_the_proxy_and_lockstep_has_none():
     with pytest.raises(ConfigurationError, match="link_delay needs the wall clock"):
         configure(run, directory=Path(), speed="max")
     assert configure(find("mockup-tumbling"), directory=Path(), speed="1").proxy is None
+
+
+def test_on_a_secure_bus_a_faulty_link_passes_through_the_proxy_encrypted_and_the_proxy_has_a_certificate(
+    tmp_path,
+):
+    authority = Authority.create(tmp_path)
+    authority.issue("router", "router", hosts=("127.0.0.1",))
+    for name, role in ROLES.items():
+        if name != "proxy":
+            authority.issue(role, name)
+    run = scenario({"fault": "link_delay", "service": "estimator", "duration_s": 1})
+    plain, rules = configure(run, directory=Path(), speed="1"), tmp_path / "run" / "rules.json"
+    with pytest.raises(CredentialsError, match=r"proxy: identity\.pem is missing; run 'rpod pki init'"):
+        secured(plain, tmp_path, rules=rules)
+    authority.issue("proxy", "proxy")
+    facility = secured(plain, tmp_path, rules=rules)
+    through = facility.proxy.links["estimator"]
+    assert facility.services["estimator"].bus.connect == f"tls/{through.listen}"
+    assert f"tls/{through.target}" == facility.router.listen == facility.proxy.bus.connect
+    assert facility.services["logger"].bus.connect == facility.router.listen
+    assert facility.proxy.bus.credentials == tmp_path / "proxy"
+    assert "proxy" in rules.read_text("utf-8")
 
 
 def test_a_run_in_lockstep_with_a_fault_of_a_process_is_refused_in_one_line(tmp_path, capsys, monkeypatch):

@@ -20,6 +20,7 @@ ROLES = {
     "estimator": "estimator",
     "logger": "logger",
     "view": "view",
+    "proxy": "proxy",
     "supervisor": "operator",
 }
 """Role of each client of a run, by its name: what ``rpod pki issue all`` issues."""
@@ -38,30 +39,34 @@ def secured(facility: Facility, pki: Path, *, rules: Path) -> Facility:
         RulesError: a certificate is of another role.
         OSError: the rules cannot be written.
     """
-    if facility.proxy is not None:
-        raise CredentialsError(
-            pki,
-            "faults of links need a certificate of the proxy, and 'rpod run' has none",
-            "run without --secure",
-        )
-    endpoint = facility.router.listen.replace("tcp/", "tls/", 1)
-    services = {verb: _certified(config, endpoint, pki) for verb, config in facility.services.items()}
-    supervisor, view = _certified(facility.supervisor, endpoint, pki), facility.view
+    services = {verb: _certified(config, pki) for verb, config in facility.services.items()}
+    supervisor, view, proxy = _certified(facility.supervisor, pki), facility.view, facility.proxy
     clients: list[ServiceConfig] = [*services.values(), supervisor]
     if (pki / view.instance).exists():  # without a certificate a run has no view
-        view = _certified(view, endpoint, pki)
+        view = _certified(view, pki)
         clients.append(view)
+    if proxy is not None:
+        proxy = _certified(proxy, pki)
+        clients.append(proxy)
     _write_rules(clients, pki, rules)
-    router = facility.router.model_copy(
-        update={"listen": endpoint, "credentials": pki / "router", "rules": rules, "estimators": ()}
-    )
+    secure = {"listen": _by_tls(facility.router.listen), "credentials": pki / "router"}
+    router = facility.router.model_copy(update=secure | {"rules": rules, "estimators": ()})
     Credentials.read(pki / "router")
-    return replace(facility, router=router, services=services, supervisor=supervisor, view=view)
+    return replace(facility, router=router, services=services, supervisor=supervisor, view=view, proxy=proxy)
 
 
-def _certified(config: ServiceT, endpoint: str, pki: Path) -> ServiceT:
-    bus = config.bus.model_copy(update={"connect": endpoint, "credentials": pki / config.instance})
-    return config.model_copy(update={"bus": bus})
+def _certified(config: ServiceT, pki: Path) -> ServiceT:
+    """Return a client with its credentials.
+
+    A client whose link passes through the proxy connects to that one's port. The proxy passes the encrypted
+    bytes on, so that the client sees the router's certificate, whose names have no port.
+    """
+    credentials = {"connect": _by_tls(config.bus.connect), "credentials": pki / config.instance}
+    return config.model_copy(update={"bus": config.bus.model_copy(update=credentials)})
+
+
+def _by_tls(endpoint: str) -> str:
+    return endpoint.replace("tcp/", "tls/", 1)
 
 
 def _write_rules(clients: list[ServiceConfig], pki: Path, file: Path) -> None:
@@ -74,6 +79,6 @@ def _write_rules(clients: list[ServiceConfig], pki: Path, file: Path) -> None:
 
 def _identity(folder: Path) -> Identity:
     if not (folder / IDENTITY).exists():
-        remedy = "run 'rpod pki init', then 'rpod pki issue all'"
+        remedy = "run 'rpod pki init', then 'rpod pki issue all', which issues what is missing"
         raise CredentialsError(folder, f"{IDENTITY} is missing", remedy)
     return Credentials.read(folder).identity

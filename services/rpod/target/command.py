@@ -77,6 +77,7 @@ def check_command(
     *,
     units: str | None,
     longest_side_m: float | None,
+    largest_file_mb: float,
     trials: int | None,
     out: Path | None,
     as_json: bool,
@@ -85,7 +86,7 @@ def check_command(
     if not as_json:
         print("building the target, then trying all methods on emulated frames ...", file=sys.stderr)
     try:
-        target = _target(file, units=units, longest_side_m=longest_side_m)
+        target = _target(file, units=units, longest_side_m=longest_side_m, largest_file_mb=largest_file_mb)
         found = check_target(target, trials=trials)
         files = write_page(target, found, out or Path())
     except (TargetError, OSError) as error:
@@ -101,14 +102,19 @@ def check_command(
     return EXIT_OK
 
 
-def _target(file: Path, *, units: str | None, longest_side_m: float | None) -> Target:
+def _target(file: Path, *, units: str | None, longest_side_m: float | None, largest_file_mb: float) -> Target:
     """Return the target of a parameter file or of a name, or one drafted from a CAD file."""
     if file.suffix.lower() not in FORMATS:
         return load_target(file)
     with tempfile.TemporaryDirectory() as folder:
         assumed = units is None and longest_side_m is None and file.suffix.lower() not in METRIC
         units = "m" if assumed else units
-        options = DraftOptions(units=units, longest_side_m=longest_side_m, confirmed_size=not assumed)
+        options = DraftOptions(
+            units=units,
+            longest_side_m=longest_side_m,
+            confirmed_size=not assumed,
+            largest_file_mb=largest_file_mb,
+        )
         made = draft(file, Path(folder) / f"{file.stem}.yaml", options, symmetries=checked_symmetries)
         told = ("coordinates are taken as metres: no unit is given", *made.told) if assumed else made.told
         return replace(made.target, source=str(file), repairs=told)

@@ -22,6 +22,16 @@ LongestOption = Annotated[
     typer.Option("--longest-side-m", help="Length to which the longest side is scaled, m.", min=1e-6),
 ]
 
+LargestFileOption = Annotated[
+    float,
+    typer.Option(
+        "--largest-file-mb",
+        help="Largest size of the CAD file with the files that it refers to, MB.",
+        min=1e-3,
+    ),
+]
+_LARGEST_FILE_MB = 500.0
+
 
 def _needs(file: Path, verb: str) -> None:
     """End at once if a file is not there: what reads it takes seconds to import."""
@@ -58,6 +68,7 @@ def new(
     confirm_size: Annotated[
         bool, typer.Option("--confirm-size", help="Confirm a size below 0.05 m or above 500 m.")
     ] = False,
+    largest_file_mb: LargestFileOption = _LARGEST_FILE_MB,
     out: Annotated[
         Path | None, typer.Option("--out", help="Parameter file to write; <cad>.yaml by default.")
     ] = None,
@@ -81,6 +92,7 @@ def new(
         density_kg_m3=density_kg_m3,
         origin=origin,  # type: ignore[arg-type]
         confirmed_size=confirm_size,
+        largest_file_mb=largest_file_mb,
     )
     raise typer.Exit(new_command(cad, options, out=out, as_json=as_json))
 
@@ -90,6 +102,7 @@ def check(
     file: Annotated[Path, typer.Argument(help="Parameter file or name of a target, or a CAD file.")],
     units: UnitsOption = None,
     longest_side_m: LongestOption = None,
+    largest_file_mb: LargestFileOption = _LARGEST_FILE_MB,
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Folder for the page and its picture; the working folder by default."),
@@ -115,6 +128,12 @@ def check(
 
     raise typer.Exit(
         check_command(
-            file, units=units, longest_side_m=longest_side_m, trials=trials, out=out, as_json=as_json
+            file,
+            units=units,
+            longest_side_m=longest_side_m,
+            largest_file_mb=largest_file_mb,
+            trials=trials,
+            out=out,
+            as_json=as_json,
         )
     )

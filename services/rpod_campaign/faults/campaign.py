@@ -3,10 +3,11 @@
 from rpod_campaign.engine.campaign import Campaign
 from rpod_campaign.engine.trial.names import require
 from rpod_campaign.faults import trial
+from rpod_campaign.faults.cell import FaultCell
 from rpod_campaign.faults.matrix import BY_FAULT, can_have
 from rpod_campaign.faults.options import Options
 from rpod_campaign.faults.report import sections, summarise
-from rpod_campaign.faults.trial import FRAME, FaultCell
+from rpod_campaign.faults.trial import FRAME
 from rpod_campaign.lidar.cells import targets
 from rpod_campaign.sequences.cells import document_of
 

@@ -34,13 +34,19 @@ ROWS = (
     Row("silence", durations_s=(0.5, 2.0)),
     Row("stop", durations_s=(0.5, 2.0)),
     Row("kill", durations_s=(2.0,)),
+    Row("link_delay", (0.05, 0.2, 1.0)),
+    Row("link_loss", (0.01, 0.05)),
+    Row("link_rate", (10.0, 30.0)),
+    Row("link_stall", durations_s=(0.5, 2.0)),
+    Row("link_half_open", durations_s=(0.5, 2.0)),
+    Row("link_cut", durations_s=(0.5, 2.0)),
 )
-"""Faults that can be tried in one process. Those of links need a bus: a scenario has them."""
+"""Faults that can be tried in one process. Of links, only what follows for the frames is tried."""
 BY_FAULT = {row.fault: row for row in ROWS}
-DEFAULTS = ("glints", "biased", "clock_behind", "blackout", "frozen", "silence", "stop", "kill")
+DEFAULTS = ("glints", "biased", "clock_behind", "blackout", "frozen", "silence", "stop", "kill", "link_stall")
 
 
 def can_have(sensor: str, fault: str) -> bool:
-    """Return whether a sensor, or the estimator behind it, can have a fault."""
+    """Return whether a sensor, its link, or the estimator behind it, can have a fault."""
     kind = BY_NAME[fault]
-    return kind.subject == "process" or sensor in kind.kinds
+    return kind.subject in {"process", "link"} or sensor in kind.kinds

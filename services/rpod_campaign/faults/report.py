@@ -12,7 +12,8 @@ from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD
 from rpod_campaign.engine.campaign import TRIAL, CellResult
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
-from rpod_campaign.faults.trial import FRAME, FaultCell
+from rpod_campaign.faults.cell import FaultCell
+from rpod_campaign.faults.trial import FRAME
 from rpod_schemas.faults import BY_NAME
 from rpod_schemas.faults.injected import InjectedFault
 from rpod_schemas.summary import FaultOutcome
@@ -77,7 +78,8 @@ def sections(results: Results) -> list[Section]:
         "Shares are of the results during the fault. Lost: sequences whose track went to LOST or "
         "ACQUIRING, and the median time to it; back: those that were in TRACKING again, and the median "
         "time from the end of the fault. Wrong: tracked estimates during the fault that are more than "
-        "10 deg or 0.3 m off. stop and kill are of the estimator, which gives no results meanwhile."
+        "10 deg or 0.3 m off. stop and kill are of the estimator, which gives no results meanwhile. link_... "
+        "are of the link from the sensor to the estimator."
     )
     columns = (
         *("target", "sensor", "fault", "size", "lasts, s", "tracking", "coasting", "lost", "after, s"),

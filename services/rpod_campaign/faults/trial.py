@@ -2,19 +2,20 @@
 
 The sensor's frames become messages, the catalogue's injections change them as in the emulator, and the
 estimator reads the result. ``stop`` and ``kill`` affect the estimator itself: its frames are lost, and after
-``kill`` it begins anew, without a pose.
+``kill`` it begins anew, without a pose. Faults of links let messages arrive late, or not at all.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any, cast
 
 import polars as pl
 
 from rpod_campaign.engine.trial.poses import errors
 from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.faults.cell import FaultCell
+from rpod_campaign.faults.link import Link
 from rpod_campaign.pmd.scene import camera_of, scenario_of
-from rpod_campaign.sequences.course import EPOCH_S, Course, Shown, fault_start_s, lidar_of
+from rpod_campaign.sequences.course import EPOCH_S, Course, Shown, lidar_of
 from rpod_campaign.sequences.settings import settings_of
 from rpod_emulator.faults import Faults, FaultyNode
 from rpod_estimator.estimator import Estimator
@@ -24,9 +25,9 @@ from rpod_runtime import BusClock, Node, Received
 from rpod_runtime.frames import PartRejectedError
 from rpod_runtime.local_node import local_node
 from rpod_runtime.sensors import open_publisher
-from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig, WorldName
+from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.faults import BY_NAME, PlannedFault
 from rpod_schemas.messages import NANOSECONDS, write_clock
 
@@ -43,31 +44,6 @@ SCHEMA: dict[str, Any] = {
     "begin_ns": pl.Int64,
     "end_ns": pl.Int64,
 }
-
-
-@dataclass(frozen=True)
-class FaultCell:
-    """A fault of a size and a duration."""
-
-    fault: str
-    size: float | None
-    """Size in the catalogue's unit; None if it has none."""
-    lasts_s: float
-    target: str
-    sensor: str
-    world: WorldName = "documented"
-    document: str = field(default="", repr=False)
-    """JSON of the camera's scenario; empty for the LIDAR."""
-
-    @property
-    def start_s(self) -> float:
-        """Begin of the fault in the sequence, s."""
-        return fault_start_s(self.sensor)
-
-    @property
-    def end_s(self) -> float:
-        """End of the fault in the sequence, s; a LIDAR's lasts ten times as long, since it has 1 Hz."""
-        return self.start_s + (10.0 * self.lasts_s if self.sensor == "lidar" else self.lasts_s)
 
 
 class _Sensor:
@@ -151,6 +127,7 @@ def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: 
     sensor: _Sensor | None = None
     latched: list[Received] = []
     estimator, reader = Estimator(config, target), FrameReader(config.sensors)
+    link = Link(cell, begin_ns=begin_ns, end_ns=end_ns, seed=seed)
     fresh = True
     for shown in course.frames():
         if sensor is None:
@@ -167,7 +144,16 @@ def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: 
             messages = latched + messages
         elif stamp_ns == round(EPOCH_S * NANOSECONDS):
             messages = latched + messages
-        yield from _processed(estimator, reader, messages, stamp_ns)
+        if BY_NAME[cell.fault].subject != "link":
+            yield from _processed(estimator, reader, messages, stamp_ns)
+            continue
+        arrivals = link.arrived(stamp_ns)
+        link.send(messages, stamp_ns)
+        for arrival in [*arrivals, *link.arrived(stamp_ns)]:
+            yield from _processed_late(
+                estimator, reader, arrival.messages, arrival.time_ns, max_age_s=config.max_age_s
+            )
+        yield from estimator.let_time_pass(stamp_ns)
 
 
 def _fields(settings: Any) -> dict[str, Any]:
@@ -190,6 +176,23 @@ def _processed(
         reader.pinned = estimator.pins_setups
     if not arrived:
         yield from estimator.let_time_pass(stamp_ns)
+
+
+def _processed_late(
+    estimator: Estimator, reader: FrameReader, messages: list[Received], now_ns: int, *, max_age_s: float
+) -> Iterator[Output]:
+    """Yield the results for messages that arrive at a time; of their frames the newest one is used."""
+    arrived = list(_arrived(reader, messages))
+    estimator.learn(reader.infos)
+    yield from estimator.let_time_pass(now_ns)
+    for each in arrived[-1:]:
+        age_s = (now_ns - each.stamp_ns) / NANOSECONDS
+        if age_s > max_age_s:
+            late = MessageRejectedError(Reason.LATE, f"{age_s:.3f} s old, max_age_s is {max_age_s:g}")
+            yield estimator.process(Arrived.unusable(each.sensor, each.stamp_ns, late))
+            continue
+        yield estimator.process(each)
+        reader.pinned = estimator.pins_setups
 
 
 def _arrived(reader: FrameReader, messages: list[Received]) -> Iterator[Arrived]:

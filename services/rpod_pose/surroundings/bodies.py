@@ -23,7 +23,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.surroundings import KnownBody
 from rpod_schemas.poses import between, chained
 from rpod_schemas.topics import CHASER
-from rpod_target.mesh.files import surface_m
+from rpod_target.mesh.folder import surface_m
 from rpod_target.mesh.topology import unit_normals
 
 LONGEST_GAP_S = 0.1

@@ -102,7 +102,9 @@ def pieces(
             done |= set(together)
             try:
                 if part.file not in files:
-                    files[part.file] = read_mesh_file(part.file, meshes[part.file], meshes)
+                    files[part.file] = read_mesh_file(
+                        part.file, meshes[part.file], meshes, largest_mb=part.largest_file_mb
+                    )
                 found.append(_of_file(files[part.file], together, source=source))
             except ValueError as error:
                 raise TargetError(source, f"parts.{index}.file", f"{part.file} {error}") from error

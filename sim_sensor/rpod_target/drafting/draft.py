@@ -16,6 +16,8 @@ from rpod_target.drafting.materials import proposed
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
 from rpod_target.mesh.files import METRIC, STEP, MeshFile, companions, read_mesh_file
+from rpod_target.mesh.folder import read_files
+from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
 from rpod_target.target import Target
 
@@ -59,6 +61,8 @@ class DraftOptions:
     and on the axes of the symmetries, which a target file can only state through its origin."""
     confirmed_size: bool = False
     """Whether a size below 0.05 m or above 500 m is meant."""
+    largest_file_mb: float = LARGEST_FILE_MB
+    """Largest size of the CAD file with its companions, MB."""
 
 
 def draft(
@@ -85,7 +89,7 @@ def draft(
     """
     told: list[str] = []
     say(f"reading {cad.name}")
-    mesh = _read(cad, told)
+    mesh = _read(cad, options.largest_file_mb, told)
     scale = _scale(cad, mesh, options, told)
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
@@ -130,19 +134,16 @@ def _keep(before: bytes | None, out: Path) -> list[str]:
     return [f"the file that was there before is kept as {kept}"]
 
 
-def _read(cad: Path, told: list[str]) -> MeshFile:
+def _read(cad: Path, largest_mb: float, told: list[str]) -> MeshFile:
     try:
-        content = cad.read_bytes()
-        beside = {}
-        for name in companions(cad.name, content):
-            if (cad.parent / name).is_file():
-                beside[name] = (cad.parent / name).read_bytes()
-            elif cad.suffix.lower() == ".obj":
-                told.append(
-                    f"the colours of its materials are not known: {name!r} is not beside {cad.name}; if you "
-                    "have it, copy it there and write the target again"
-                )
-        return read_mesh_file(cad.name, content, beside)
+        content, beside = read_files(cad, largest_mb=largest_mb, raised_by="--largest-file-mb ")
+        told += [
+            f"the colours of its materials are not known: {name!r} is not beside {cad.name}; if you "
+            "have it, copy it there and write the target again"
+            for name in companions(cad.name, content)
+            if name not in beside and cad.suffix.lower() == ".obj"
+        ]
+        return read_mesh_file(cad.name, content, beside, largest_mb=largest_mb)
     except OSError as error:
         raise TargetError(cad, "", f"cannot be read ({error.strerror})") from error
     except ValueError as error:
@@ -299,6 +300,8 @@ class _Sections:
             yield f"  - name: {_scalar(label)}"
             yield "    shape: mesh"
             yield f"    file: {_scalar(self.file)}"
+            if self._options.largest_file_mb != LARGEST_FILE_MB:
+                yield f"    largest_file_mb: {self._options.largest_file_mb!r}"
             if several:
                 yield f"    object: {_scalar(name)}"
             yield f"    metres_per_unit: {self._scale!r}"

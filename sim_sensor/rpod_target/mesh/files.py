@@ -9,7 +9,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from rpod_schemas.arrays import FloatArray
 from rpod_target.mesh import gltf_arrays, obj_text, off_text, step
 from rpod_target.mesh.text import as_utf8, file_of, with_line_feeds
-from rpod_target.mesh.topology import areas_m2
-from rpod_target.mesh.unusable import lost_faces, unusable, without_faces
+from rpod_target.mesh.unusable import LARGEST_FILE_MB, MOST_TRIANGLES, lost_faces, unusable, without_faces
 
 FORMATS = (".stl", ".obj", ".ply", ".gltf", ".glb", ".off", ".step", ".stp")
 """Suffixes of the files that can be read."""
@@ -27,8 +26,6 @@ METRIC = (".gltf", ".glb", ".step", ".stp")
 """Suffixes of the formats that are in metres when they are read: glTF by definition, STEP by its own unit."""
 STEP = (".step", ".stp")
 """Suffixes of STEP files."""
-MOST_TRIANGLES = 10_000_000
-"""Largest number of triangles of a file, each copy of an object counted: their corners take 0.7 GB."""
 _TEXTS = (".obj", ".off")
 _GLTF = (".gltf", ".glb")
 
@@ -78,13 +75,16 @@ def companions(name: str, content: bytes) -> tuple[str, ...]:
     return ()
 
 
-def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> MeshFile:
+def read_mesh_file(
+    name: str, content: bytes, beside: Mapping[str, bytes], *, largest_mb: float = LARGEST_FILE_MB
+) -> MeshFile:
     """Return the content of a mesh file.
 
     Args:
         name: name of the file; its suffix gives the format.
         content: bytes of the file.
         beside: bytes of its companions that exist, by name; other names are ignored.
+        largest_mb: largest size of the arrays that the file announces, MB.
 
     Raises:
         ValueError: the content is wrong; the text continues a sentence that begins with the file's name.
@@ -97,10 +97,18 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
     }
     if suffix not in FORMATS:
         raise ValueError(f"is of no known format: give one of {', '.join(FORMATS)}")
-    if reason := unusable(suffix, content):
+    if reason := unusable(suffix, content, largest_mb=largest_mb):
         raise ValueError(reason)
-    scene = _scene(*_prepared(suffix, content, beside))
-    pieces = list(_pieces(scene))
+    units: tuple[str, ...] = ()
+    if suffix in STEP:
+        units, content = step.units(content), _as_glb(suffix, content)
+        if reason := unusable(".glb", content, largest_mb=largest_mb):
+            raise ValueError(reason)
+    try:
+        scene = _scene(*_prepared(suffix, content, beside))
+        pieces = list(_pieces(scene))
+    except ValueError as error:
+        raise ValueError(f"{error}{obj_text.wrong_line(content) if suffix == '.obj' else ''}") from error
     if not pieces:
         raise ValueError(without_faces(list(scene.geometry.values())))
     if suffix == ".ply" and (reason := lost_faces(content, sum(len(piece.triangles) for piece in pieces))):
@@ -116,7 +124,7 @@ def read_mesh_file(name: str, content: bytes, beside: Mapping[str, bytes]) -> Me
         objects,
         np.repeat([materials.index(piece.material) if piece.material else -1 for piece in pieces], counts),
         tuple(_with_names_of_their_own(materials)),
-        step.units(content) if suffix in STEP else (),
+        units,
     )
     if not np.isfinite(mesh.triangles).all():
         raise ValueError("contains a coordinate that is not finite: export it again")
@@ -148,20 +156,6 @@ def _prepared(
     if suffix == ".obj":
         return suffix, *obj_text.prepared(content, beside)
     return suffix, content, beside
-
-
-def surface_m(path: Path, metres_per_unit: float) -> FloatArray:
-    """Return the triangles of a file that have an area, shape (T, 3, 3), m.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: its content is wrong.
-    """
-    content = path.read_bytes()
-    names = [name for name in companions(path.name, content) if (path.parent / name).is_file()]
-    beside = {name: (path.parent / name).read_bytes() for name in names}
-    triangles_m = metres_per_unit * read_mesh_file(path.name, content, beside).triangles
-    return triangles_m[areas_m2(triangles_m) > 0.0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +191,9 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
     if suffix == ".obj":
         options["split_objects"] = obj_text.has_objects(content)
         options["split_groups"] = not options["split_objects"]
-    others, kind = _Beside(beside), suffix[1:]
-    if suffix in STEP:
-        step.require_reader()
+    others, kind = _Beside(beside), "glb" if suffix in STEP else suffix[1:]
     try:
-        if suffix in STEP:
-            content, kind = step.as_glb(content), "glb"
-        elif suffix in _GLTF:
+        if suffix in _GLTF:
             content, others = _whole(content, others)
             kind = "glb" if content.startswith(b"glTF") else "gltf"
         with warnings.catch_warnings():
@@ -223,6 +213,15 @@ def _scene(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> Any:
         raise ValueError(reason) from error
     except IndexError as error:
         raise ValueError(obj_text.NO_CORNER if suffix == ".obj" else _unread(suffix, error)) from error
+    except Exception as error:  # a parser of foreign files raises anything
+        raise ValueError(_unread(suffix, error)) from error
+
+
+def _as_glb(suffix: str, content: bytes) -> bytes:
+    """Return a STEP file as GLB. Raises ``ValueError``."""
+    step.require_reader()
+    try:
+        return step.as_glb(content)
     except Exception as error:  # a parser of foreign files raises anything
         raise ValueError(_unread(suffix, error)) from error
 

@@ -19,7 +19,7 @@ from rpod_schemas.arrays import Array
 _FAN = 6
 """Mode of a primitive whose triangles share their first corner."""
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_COLUMNS = {"SCALAR": 1, "VEC3": 3}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _CHUNK = 8
 """Bytes before the content of a chunk of a GLB file."""
 _HEADER = 12
@@ -62,6 +62,12 @@ def prepared(content: bytes, beside: Callable[[str], bytes]) -> tuple[bytes, dic
     return json.dumps(document).encode(), files
 
 
+def bytes_of(accessor: Mapping[str, Any]) -> int:
+    """Return the bytes of one value of an accessor, of all its columns; of an unknown type the most."""
+    size = np.dtype(_TYPES.get(accessor.get("componentType", 0), "<f4")).itemsize
+    return size * _COLUMNS.get(str(accessor.get("type")), max(_COLUMNS.values()))
+
+
 def _misread(accessor: Mapping[str, Any]) -> bool:
     """Return whether the reader ignores what an accessor says of its values."""
     return "sparse" in accessor or (bool(accessor.get("normalized")) and accessor["componentType"] != 5126)
@@ -98,9 +104,10 @@ class _Arrays:
         accessor = self._document["accessors"][number]
         count, columns = int(accessor["count"]), _COLUMNS[accessor["type"]]
         type_ = np.dtype(_TYPES[accessor["componentType"]])
-        values = np.zeros((count, columns), type_)
         if "bufferView" in accessor:
             values = self._strided(accessor, type_, count, columns).copy()
+        else:
+            values = np.zeros((count, columns), type_)
         if "sparse" in accessor:
             sparse = accessor["sparse"]
             index_type = np.dtype(_TYPES[sparse["indices"]["componentType"]])
@@ -115,6 +122,8 @@ class _Arrays:
         buffer = self._buffers[view["buffer"]]
         begin = int(view.get("byteOffset", 0)) + int(place.get("byteOffset", 0))
         stride = int(view.get("byteStride", columns * type_.itemsize))
+        if stride < columns * type_.itemsize or begin < 0:
+            raise ValueError(f"values of {columns * type_.itemsize} bytes that are {stride} bytes apart")
         found: NDArray[Any] = np.ndarray((count, columns), type_, buffer, begin, (stride, type_.itemsize))
         return found
 

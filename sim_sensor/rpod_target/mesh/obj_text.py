@@ -74,6 +74,32 @@ def prepared(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[s
     return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
 
 
+def wrong_line(content: bytes) -> str:
+    """Return the first line whose corner is no number or not in the file, with its number; or an empty text.
+
+    Args:
+        content: text of a file that was refused.
+    """
+    lines = [line.partition(b"#")[0].split() for line in with_line_feeds(content).split(b"\n")]
+    corners, before = sum(words[:1] == [b"v"] for words in lines), 0
+    for number, words in enumerate(lines, 1):
+        before += words[:1] == [b"v"]
+        if words[:1] in ([b"v"], [b"f"]) and _is_wrong(words, before, corners):
+            return f"; line {number} is '{b' '.join(words)[:80].decode('utf-8', 'replace')}'"
+    return ""
+
+
+def _is_wrong(words: list[bytes], before: int, corners: int) -> bool:
+    """Return whether a line of a corner or face is wrong, behind ``before`` of ``corners`` corners."""
+    try:
+        if words[0] == b"v":
+            return not np.isfinite([float(word) for word in words[1:4]]).all()
+        index = np.array([int(word.partition(b"/")[0]) for word in words[1:]])
+    except ValueError:
+        return True
+    return bool(((index == 0) | (index > corners) | (index < -before)).any())
+
+
 def _plain(content: bytes) -> bytes:
     """Return a text whose words have spaces between them and lines begin with a word."""
     content = with_line_feeds(content)

@@ -9,6 +9,13 @@ import re
 import struct
 from typing import Any
 
+from rpod_target.mesh.announced import too_many
+
+MOST_TRIANGLES = 10_000_000
+"""Largest number of triangles of a file, each copy of an object counted: their corners take 0.7 GB."""
+LARGEST_FILE_MB = 500.0
+"""Default of the largest size of a file with the files that it refers to, MB: that of a binary STL file with
+the most triangles."""
 _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
@@ -29,12 +36,13 @@ _MOST_ABSENT = 1 << 25
 """Largest number of values that a glTF file may announce without having them: they count as zeros."""
 
 
-def unusable(suffix: str, content: bytes) -> str:
+def unusable(suffix: str, content: bytes, *, largest_mb: float = LARGEST_FILE_MB) -> str:
     """Return why the bytes of a CAD file cannot be used and what to do, or an empty text.
 
     Args:
         suffix: that of the file's name, with the dot, in small letters.
         content: bytes of the file.
+        largest_mb: largest size of the arrays that a glTF document announces, MB.
     """
     if not content:
         return "is empty (0 bytes): copy or export it again"
@@ -45,7 +53,7 @@ def unusable(suffix: str, content: bytes) -> str:
     if own == "STL":
         return _cut_stl(content)
     if own in {"GLTF", "GLB"}:
-        return _wrong_gltf(content)
+        return _wrong_gltf(content, largest_mb)
     return ""
 
 
@@ -104,7 +112,7 @@ def _cut_stl(content: bytes) -> str:
     return ""
 
 
-def _wrong_gltf(content: bytes) -> str:
+def _wrong_gltf(content: bytes, largest_mb: float) -> str:
     text, binary = content, content.startswith(b"glTF")
     if binary and len(content) >= 20:
         length = struct.unpack_from("<I", content, 12)[0]
@@ -116,6 +124,8 @@ def _wrong_gltf(content: bytes) -> str:
         return "" if binary else "is no glTF, whose text is one JSON object: export it again"
     if (absent := _absent_values(document)) > _MOST_ABSENT:
         return f"announces {absent} values that are not in it: export it again"
+    if reason := too_many(document, most_bytes=round(1e6 * largest_mb), most_triangles=MOST_TRIANGLES):
+        return reason
     if isinstance(used, list) and _INSTANCES in used:
         return f"has instances of meshes ({_INSTANCES}), which are not read: export it without this extension"
     found = [name for name in _COMPRESSIONS if isinstance(needed, list) and name in needed]

@@ -35,8 +35,8 @@ def test_cells_are_sizes_and_durations_of_the_faults_that_the_sensor_can_have():
         ("stop", None, 0.5),
         ("stop", None, 2.0),
     ]
-    with pytest.raises(ConfigurationError, match="not 'link_cut'"):
-        cells(options(fault=("link_cut",)))
+    with pytest.raises(ConfigurationError, match="not 'disk_full'"):
+        cells(options(fault=("disk_full",)))
 
 
 def row(number, mode, accepted, error_deg):

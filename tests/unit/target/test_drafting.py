@@ -204,7 +204,9 @@ def test_a_cad_file_is_parsed_once(cad: Path, cache: Path, monkeypatch: pytest.M
     for module in (drafting, pieces):
         read = module.read_mesh_file
         monkeypatch.setattr(
-            module, "read_mesh_file", lambda name, *rest, read=read: parsed.append(name) or read(name, *rest)
+            module,
+            "read_mesh_file",
+            lambda name, *rest, read=read, **more: parsed.append(name) or read(name, *rest, **more),
         )
     made = draft(cad, cad.parent / "one" / "sat.yaml", DraftOptions(units="m", mass_kg=7.5), cache=cache)
     assert parsed == ["sat.obj"]

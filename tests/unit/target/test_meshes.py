@@ -307,7 +307,9 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
         ("hull.stl", STL[:80] + bytes(4) + STL[84:], "announces 0 triangles, but 4 follow"),
         ("hull.obj", STL, "is named .obj, but its content is STL: give it the suffix .stl"),
         ("hull.obj", b"v 0 0 0\nv 1 0 0\nl 1 2\n", "2 points and no face.*make a mesh of it"),
-        ("hull.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face with a corner that is not in the file"),
+        ("hull.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", r"not in the file.*; line 4 is 'f 1 2 9'"),
+        ("hull.obj", b"v 0 0 0\n# a corner\nv 1 0,5 0\nv 0 1 0\nf 1 -1 -2 3\n", r"; line 3 is 'v 1 0,5 0'"),
+        ("hull.obj", b"v 0 0 0\nv 1 0 0\nf -1 -2 -3\nv 0 1 0\nf 1 2 3\n", r"; line 3 is 'f -1 -2 -3'"),
         ("hull.gltf", json.dumps(AMISS).encode(), "face with a corner that is not in the file"),
         ("hull.ply", CLOUD, "3 points and no face, so it is a point cloud"),
         (
