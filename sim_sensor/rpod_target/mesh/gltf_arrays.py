@@ -64,8 +64,9 @@ def prepared(content: bytes, beside: Callable[[str], bytes]) -> tuple[bytes, dic
 
 def bytes_of(accessor: Mapping[str, Any]) -> int:
     """Return the bytes of one value of an accessor, of all its columns; of an unknown type the most."""
-    size = np.dtype(_TYPES.get(accessor.get("componentType", 0), "<f4")).itemsize
-    return size * _COLUMNS.get(str(accessor.get("type")), max(_COLUMNS.values()))
+    number = accessor.get("componentType")
+    known = _TYPES.get(number) if isinstance(number, int) else None
+    return np.dtype(known or "<f4").itemsize * _COLUMNS.get(str(accessor.get("type")), max(_COLUMNS.values()))
 
 
 def _misread(accessor: Mapping[str, Any]) -> bool:

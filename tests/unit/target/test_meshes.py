@@ -311,6 +311,7 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
         ("hull.obj", b"v 0 0 0\n# a corner\nv 1 0,5 0\nv 0 1 0\nf 1 -1 -2 3\n", r"; line 3 is 'v 1 0,5 0'"),
         ("hull.obj", b"v 0 0 0\nv 1 0 0\nf -1 -2 -3\nv 0 1 0\nf 1 2 3\n", r"; line 3 is 'f -1 -2 -3'"),
         ("hull.gltf", json.dumps(AMISS).encode(), "face with a corner that is not in the file"),
+        ("hull.gltf", json.dumps(AMISS).replace("5126", "[5126]").encode(), "cannot be read as GLTF"),
         ("hull.ply", CLOUD, "3 points and no face, so it is a point cloud"),
         (
             "hull.gltf",
