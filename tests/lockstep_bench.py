@@ -1,11 +1,12 @@
 """Runs in lockstep for tests: motion, emulator and estimator in threads, and the test in the logger's place.
 
-As a process, ``python -m lockstep_bench``, it plays the runs of ``SENSORS`` on a router of its own and writes
+As a process, ``python -m lockstep_bench``, it plays the runs of ``SENSORS`` on a bus of its own and writes
 digests of what they published, for comparisons with runs in other processes.
 """
 
 import hashlib
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -17,7 +18,8 @@ from typing import Any
 from unittest.mock import patch
 from uuid import uuid4
 
-from live_bus import TIMEOUT_S, Bus, daemon, router
+from bus_processes import router_process
+from live_bus import TIMEOUT_S, Bus, daemon
 from search_thread import SearchThread
 
 import rpod_estimator.daemon
@@ -191,7 +193,7 @@ class Runs:
 def play_all() -> Runs:
     """Play the runs of ``SENSORS`` in this process. One sensor alone gets a guess of the pose."""
     threads = patch.object(rpod_estimator.daemon, "SearchProcess", SearchThread)
-    with threads, router() as endpoint, ExitStack() as stack:
+    with threads, router_process() as (_, endpoint), ExitStack() as stack:
         bench = Bench(Bus(endpoint, stack))
         played = {}
         for name, sensors in SENSORS.items():
@@ -229,4 +231,5 @@ def player(*, hash_seed: int, niceness: int = 0) -> Iterator[Any]:
 
 
 if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO)
     sys.stdout.write(json.dumps(asdict(play_all())))

@@ -144,10 +144,9 @@ def _read(cad: Path, largest_mb: float, told: list[str]) -> MeshFile:
             if name not in beside and cad.suffix.lower() == ".obj"
         ]
         return read_mesh_file(cad.name, content, beside, largest_mb=largest_mb)
-    except OSError as error:
-        raise TargetError(cad, "", f"cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise TargetError(cad, "", str(error)) from error
+    except (OSError, ValueError) as error:
+        reason = f"cannot be read ({error.strerror})" if isinstance(error, OSError) else str(error)
+        raise TargetError(cad, "", reason) from error
 
 
 def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) -> float:
