@@ -32,7 +32,7 @@ def test_all_credentials_of_a_run_are_issued_by_one_command(folder: Path):
     assert pki("issue", "all").exit_code == 0
     assert pki("issue", "all").exit_code == 0, "what is there is left alone"
     names = {entry.name for entry in (folder / "pki").iterdir()}
-    run = {"motion", "emulator", "estimator", "logger", "view", "supervisor"}
+    run = {"motion", "emulator", "estimator", "logger", "view", "proxy", "supervisor"}
     assert names == run | {"router", "authority"}
 
 
@@ -83,7 +83,8 @@ def test_a_run_without_credentials_names_the_file_once_and_both_commands(tmp_pat
     with pytest.raises(CredentialsError) as error:
         _identity(tmp_path / "motion")
     assert str(error.value) == (
-        f"{tmp_path}/motion: identity.pem is missing; run 'rpod pki init', then 'rpod pki issue all'"
+        f"{tmp_path}/motion: identity.pem is missing; run 'rpod pki init', then 'rpod pki issue all', which "
+        "issues what is missing"
     )
 
 
