@@ -1,17 +1,19 @@
 """The test that tells a pose which the gate refused by chance from an acceleration.
 
-The gate refuses one pose in a hundred although nothing accelerates. It refuses a wrong pose as well. At the
-refused pose itself the three cannot be told apart, and a track that waited would lag behind an acceleration.
-So an acceleration is assumed at once (``manoeuvre``), and a second filter goes on beside the track: it leaves
-the refused pose out, and expects no more acceleration than configured. The poses after the refused one
-decide. Behind an acceleration the second filter lags more and more; after a refusal by chance its smaller
-covariance explains them better.
+The gate refuses one pose in a hundred although nothing accelerates, and it refuses wrong poses. The refused
+pose alone does not tell these from an acceleration, and a track that waited for more would lag behind one. So
+an acceleration is assumed at once (``manoeuvre``), and a second filter continues beside the track. It leaves
+the refused pose out, and expects no larger acceleration than configured. The next poses decide: behind an
+acceleration the second filter lags more and more; otherwise they are as near to it as its smaller covariance
+says.
 
-The test is Wald's sequential probability ratio test (A. Wald, Sequential tests of statistical hypotheses, Annals of
-Mathematical Statistics 16(2), 1945). Each filter gives the density of a pose before it uses the pose, so that
-the ratio r of the products is reached with at most the probability 1 / r if the other filter is right (J.
-Ville, 1939). The limit is the share of right poses that the gate refuses: the test decides wrongly at most as
-often.
+This is the sequential probability ratio test (A. Wald, Sequential tests of statistical hypotheses, Annals of
+Mathematical Statistics 16(2), 1945). Each filter states the density of a pose before it uses this pose.
+Therefore the ratio of the products reaches r with at most the probability 1 / r if the other filter is right
+(J. Ville, 1939). The limit is the reciprocal of the probability with which the gate refuses a right pose.
+
+If the track is right, a new test begins: the acceleration may end at any time. Its second filter begins with
+the state of the track.
 """
 
 from dataclasses import replace
@@ -24,6 +26,9 @@ from rpod_pose.navigation.dynamics.manoeuvre import followed
 from rpod_pose.navigation.filter import CALM, FilterState, Innovation, Steady, Update, gate_nis, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
+
+_LEAST = float(np.finfo(float).tiny)
+"""Least probability of a refusal by chance. Numerics: its logarithm is finite."""
 
 
 def decided(
@@ -48,7 +53,7 @@ def decided(
     found = updated(predicted, measured, config)
     log_odds = steady.log_odds + _log_density(found.innovation) - _log_density(met.innovation)
     beside = followed(steady.state, predicted, found, measured, config) if found.accepted else steady.state
-    limit = -log(chdtrc(after.alike.dof, gate_nis(after, config)))
+    limit = -log(max(chdtrc(after.alike.dof, gate_nis(after, config)), _LEAST))
     if found.accepted and log_odds > (0.0 if after.manoeuvre == CALM else limit):
         return beside
     if after.manoeuvre == CALM:

@@ -1,10 +1,11 @@
 """The hypothesis that the newest frames are wrong, and the solutions without them.
 
 The solution without these frames is a prediction over some tenths of a second. It depends on whether the
-target accelerates, which the last pose before may leave open: the gate has refused it, and the poses that tell
-are among the newest ones (``dynamics/steady``). Then there are two solutions. By Bayes's rule, the prior of
-an acceleration is that of a wrong prediction (``refused``), divided by the chance of such a pose without one,
-times the odds of the poses that the older filters have used.
+target accelerates. The older poses leave that open where the gate has refused one of them, and the poses that
+decide are among the newest ones (``dynamics/steady``). Then there are two solutions, with and without an
+acceleration. By Bayes's rule, the odds of an acceleration are its prior over the probability of such a refusal
+by chance, times the likelihood ratio of the older poses. The prior is that of a wrong prediction
+(``refused``).
 """
 
 from dataclasses import replace
@@ -13,14 +14,11 @@ from math import exp
 from rpod_pose.navigation.dynamics.manoeuvre import greatest
 from rpod_pose.navigation.filter import FilterState, Manoeuvre, Steady, predict
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.integrity.frame_evidence import MOST_LOG_ODDS
 from rpod_pose.navigation.integrity.levels import Solution, solution
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityTuning
 from rpod_schemas.messages import NANOSECONDS
-
-_MOST_LOG_ODDS = 50.0
-"""Largest log odds in an exponential; larger ones are clipped. Numerics: the result stays finite."""
-
 
 def older_solutions(
     history: History, estimate: FilterState, config: FilterConfig, tuning: IntegrityTuning
@@ -46,8 +44,8 @@ def older_solutions(
 
 
 def _accelerating(steady: Steady, share: float) -> float:
-    """Return the probability that the target accelerates, and that no refused pose was one by chance."""
-    by_chance = steady.by_chance * exp(max(min(steady.log_odds, _MOST_LOG_ODDS), -_MOST_LOG_ODDS))
+    """Return the probability that the target accelerates, and that the pose was not refused by chance."""
+    by_chance = steady.by_chance * exp(min(steady.log_odds, MOST_LOG_ODDS))
     return share / (share + by_chance)
 
 

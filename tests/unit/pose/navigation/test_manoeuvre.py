@@ -274,3 +274,68 @@ def test_a_model_that_states_its_own_noise_is_not_said_to_be_raised():
     assert factors.angular == 1.0
     assert 1.0 < factors.acceleration < 1e4
     assert calm.may_be_raised == (True, False)
+
+
+STEP_S = 1.0 / 45.0
+STATED = ErrorParts.lasting_model(np.diag(NOISE**2), np.zeros((6, 6)))
+
+
+def steady(number: int, rng, turned_deg: float = 0.0) -> PoseMeasurement:
+    """Return a pose of a steady spin at 45 Hz, with noise as stated, turned by an angle."""
+    time_s, off = number * STEP_S, NOISE * rng.standard_normal(6)
+    turn = Rotation.from_rotvec(off[3:]) * Rotation.from_rotvec([0.0, turned_deg, 0.0], degrees=True)
+    pose = make_pose(
+        rotation=turn * Rotation.from_rotvec([5.0 * time_s, 0.0, 0.0], degrees=True),
+        translation_m=[0.0, 0.0, 7.0 - 0.25 * time_s] + off[:3],
+    )
+    stamp_ns = round(time_s * SECOND_NS)
+    return PoseMeasurement(stamp_ns, pose, np.diag(NOISE**2), Origin("pmd", make_pose(), STATED), alone=True)
+
+
+def test_a_refusal_by_chance_raises_the_densities_for_a_few_frames():
+    """The gate refuses one pose in a hundred. Each began a manoeuvre that kept itself up for seconds."""
+    rng, history, raised = np.random.default_rng(1), None, []
+    for number in range(700):
+        measured = steady(number, rng)
+        if history is None:
+            history = History(started(measured, config=CONSIDERED))
+            continue
+        history = apply(history, measured, CONSIDERED).history
+        raised.append(history.state.manoeuvre.angular > 10.0)
+    assert 0.0 < np.mean(raised[45:]) < 0.04
+
+
+def test_a_single_wrong_pose_leaves_nothing_in_the_track_that_followed_it():
+    """It is turned by 1 deg, which an acceleration of a mission may do: the track follows it at first."""
+    with_it = History(started(steady(0, np.random.default_rng(3)), config=CONSIDERED))
+    without, rng = with_it, np.random.default_rng(4)
+    for number in range(1, 105):
+        wrong = number == 90
+        measured = steady(number, rng, turned_deg=1.0 if wrong else 0.0)
+        applied = apply(with_it, measured, CONSIDERED)
+        with_it = applied.history
+        if wrong:
+            assert applied.accepted
+            assert with_it.state.manoeuvre.angular > 10.0
+        else:
+            without = apply(without, measured, CONSIDERED).history
+    assert with_it.state.manoeuvre == CALM
+    assert np.allclose(with_it.state.covariance, without.state.covariance, rtol=1e-9, atol=0.0)
+    assert np.allclose(with_it.state.rate_rad_s, without.state.rate_rad_s, rtol=1e-9)
+
+
+def test_poses_that_show_an_acceleration_keep_the_densities_raised():
+    """Two tests follow each other: the filter beside the track lags, and begins again with its state."""
+    rng, history, since = np.random.default_rng(5), None, set()
+    for number in range(90):
+        angle_deg = 30.0 * max(number * STEP_S - 1.0, 0.0) ** 2
+        measured = steady(number, rng, turned_deg=angle_deg)
+        if history is None:
+            history = History(started(measured, config=CONSIDERED))
+            continue
+        history = apply(history, measured, CONSIDERED).history
+        if history.state.steady is not None and not history.state.steady.by_chance:
+            since.add(history.state.steady.since_ns)
+    assert len(since) > 1
+    turn_rad, _ = pose_error(history.state.T_chaser_target, measured.T_chaser_target)
+    assert np.degrees(np.linalg.norm(turn_rad)) < 1.0
