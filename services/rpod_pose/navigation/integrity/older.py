@@ -3,8 +3,8 @@
 The solution without these frames is a prediction over some tenths of a second. It depends on whether the
 target accelerates. The older poses leave that open where the gate has refused one of them, and the poses that
 decide are among the newest ones (``dynamics/steady``). Then there are two solutions, with and without an
-acceleration. By Bayes's rule, the odds of an acceleration are its prior over the probability of such a refusal
-by chance, times the likelihood ratio of the older poses. The prior is that of a wrong prediction
+acceleration. By Bayes's rule, the odds of an acceleration are its prior over the probability of such a
+refusal by chance, times the likelihood ratio of the older poses. The prior is that of a wrong prediction
 (``refused``).
 """
 
@@ -19,6 +19,7 @@ from rpod_pose.navigation.integrity.levels import Solution, solution
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityTuning
 from rpod_schemas.messages import NANOSECONDS
+
 
 def older_solutions(
     history: History, estimate: FilterState, config: FilterConfig, tuning: IntegrityTuning

@@ -14,9 +14,11 @@ from rpod_pose.navigation.dynamics.manoeuvre import needed
 from rpod_pose.navigation.dynamics.torque_free import Inertia
 from rpod_pose.navigation.filter import CALM, predict, start
 from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.integrity.older import older_solutions
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, started
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
+from rpod_schemas.config.estimator.integrity import IntegrityTuning
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, Mode
@@ -141,16 +143,19 @@ def pushed(time_s: float, period_s: float = 1.0):
 
 def test_a_fast_sensor_follows_a_target_whose_acceleration_jumps():
     """Poses of 15 Hz: none is refused, as the gate did with every fourth, and the covariance holds."""
-    made, rng, nees = rig(pose=pushed(START_S)), np.random.default_rng(3), []
+    made, rng, nees, proven = rig(pose=pushed(START_S)), np.random.default_rng(3), [], []
     for number in range(75):
         time_s = START_S + number / 15.0
         output = made.see(seen(pushed(time_s), time_s, rng))
         assert (output.status.accepted, output.status.mode) == (True, Mode.TRACKING)
+        beside = made.state.history.state.steady
+        proven.append(beside is not None and not beside.by_chance)
         turn_rad, shift_m = pose_error(output.odometry.pose, pushed(time_s))
         assert np.degrees(np.linalg.norm(turn_rad)) < 1.0
         error = np.concatenate([shift_m, turn_rad])
         nees.append(error @ np.linalg.solve(output.odometry.pose_covariance, error))
     assert np.mean(nees) < 6.0
+    assert any(proven), "the poses after a refused one show that it was no chance"
 
 
 def test_frames_that_leave_one_axis_open_show_an_acceleration_about_the_others():
@@ -276,17 +281,16 @@ def test_a_model_that_states_its_own_noise_is_not_said_to_be_raised():
     assert calm.may_be_raised == (True, False)
 
 
-STEP_S = 1.0 / 45.0
 STATED = ErrorParts.lasting_model(np.diag(NOISE**2), np.zeros((6, 6)))
 
 
-def steady(number: int, rng, turned_deg: float = 0.0) -> PoseMeasurement:
-    """Return a pose of a steady spin at 45 Hz, with noise as stated, turned by an angle."""
-    time_s, off = number * STEP_S, NOISE * rng.standard_normal(6)
+def steady(number: int, rng, turned_deg: float = 0.0, rate_hz: float = 15.0) -> PoseMeasurement:
+    """Return a pose of a steady spin, with noise as stated, turned by an angle."""
+    time_s, off = number / rate_hz, NOISE * rng.standard_normal(6)
     turn = Rotation.from_rotvec(off[3:]) * Rotation.from_rotvec([0.0, turned_deg, 0.0], degrees=True)
     pose = make_pose(
         rotation=turn * Rotation.from_rotvec([5.0 * time_s, 0.0, 0.0], degrees=True),
-        translation_m=[0.0, 0.0, 7.0 - 0.25 * time_s] + off[:3],
+        translation_m=np.array([0.0, 0.0, 7.0 - 0.25 * time_s]) + off[:3],
     )
     stamp_ns = round(time_s * SECOND_NS)
     return PoseMeasurement(stamp_ns, pose, np.diag(NOISE**2), Origin("pmd", make_pose(), STATED), alone=True)
@@ -296,7 +300,7 @@ def test_a_refusal_by_chance_raises_the_densities_for_a_few_frames():
     """The gate refuses one pose in a hundred. Each began a manoeuvre that kept itself up for seconds."""
     rng, history, raised = np.random.default_rng(1), None, []
     for number in range(700):
-        measured = steady(number, rng)
+        measured = steady(number, rng, rate_hz=45.0)
         if history is None:
             history = History(started(measured, config=CONSIDERED))
             continue
@@ -324,18 +328,18 @@ def test_a_single_wrong_pose_leaves_nothing_in_the_track_that_followed_it():
     assert np.allclose(with_it.state.rate_rad_s, without.state.rate_rad_s, rtol=1e-9)
 
 
-def test_poses_that_show_an_acceleration_keep_the_densities_raised():
-    """Two tests follow each other: the filter beside the track lags, and begins again with its state."""
-    rng, history, since = np.random.default_rng(5), None, set()
-    for number in range(90):
-        angle_deg = 30.0 * max(number * STEP_S - 1.0, 0.0) ** 2
-        measured = steady(number, rng, turned_deg=angle_deg)
-        if history is None:
-            history = History(started(measured, config=CONSIDERED))
-            continue
+def test_the_solution_without_the_newest_frames_weighs_whether_a_pose_was_refused_by_chance():
+    """The frames that decide are among the newest ones. A mission turns by 1.2 deg in this time."""
+    history = History(started(steady(0, np.random.default_rng(3)), config=CONSIDERED))
+    rng = np.random.default_rng(4)
+    for number in range(1, 95):
+        measured = steady(number, rng, turned_deg=1.0 if number == 90 else 0.0)
         history = apply(history, measured, CONSIDERED).history
-        if history.state.steady is not None and not history.state.steady.by_chance:
-            since.add(history.state.steady.since_ns)
-    assert len(since) > 1
-    turn_rad, _ = pose_error(history.state.T_chaser_target, measured.T_chaser_target)
-    assert np.degrees(np.linalg.norm(turn_rad)) < 1.0
+    tuning = IntegrityTuning()
+    accelerating, calm = older_solutions(history, history.state, CONSIDERED, tuning)
+    assert accelerating.probability + calm.probability == pytest.approx(tuning.group_share)
+    assert 0.0 < accelerating.probability < calm.probability
+    worst_deg = [
+        np.degrees(np.sqrt(np.linalg.eigvalsh(x.covariance[3:, 3:])[-1])) for x in (accelerating, calm)
+    ]
+    assert worst_deg[1] < 0.4 < worst_deg[0] < 1.4
