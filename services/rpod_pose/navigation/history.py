@@ -11,6 +11,7 @@ from math import inf
 from typing import NamedTuple
 
 from rpod_pose.navigation.dynamics.manoeuvre import explaining, followed, is_expected
+from rpod_pose.navigation.dynamics.steady import decided
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -147,6 +148,7 @@ def _applied(
     A pose that its frame alone proves may need larger accelerations than configured; then they are assumed.
     """
     outcome = updated(predicted, measurement, config)
+    met = outcome
     if measurement.alone and not is_expected(outcome, predicted):
         manoeuvre = explaining(before, predicted, measurement, config)
         if manoeuvre is not None:
@@ -155,5 +157,6 @@ def _applied(
             if again.accepted:
                 predicted, outcome = raised, again
     if outcome.accepted:
-        outcome = outcome._replace(state=followed(before, predicted, outcome, measurement, config))
+        after = followed(before, predicted, outcome, measurement, config)
+        outcome = outcome._replace(state=decided(before, after, met, measurement, config))
     return Step(measurement, predicted, outcome)

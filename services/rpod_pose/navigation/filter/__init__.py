@@ -47,6 +47,7 @@ from rpod_pose.navigation.filter.state import (
     InnovationSum,
     Manoeuvre,
     MotionModel,
+    Steady,
 )
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "MotionModel",
     "Sensitivities",
     "StampOrderError",
+    "Steady",
     "Update",
     "exponential",
     "gate_nis",

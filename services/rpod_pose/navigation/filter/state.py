@@ -110,6 +110,21 @@ NO_INNOVATIONS = InnovationSum(np.zeros(3), np.zeros((3, 3)), 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
+class Steady:
+    """A filter beside a track that is assumed to accelerate: the track if it does not."""
+
+    state: "FilterState"
+    """State after the last measurement that it has used."""
+    since_ns: int
+    """Stamp of the pose at which the two parted."""
+    by_chance: float
+    """Probability with which the gate refuses such a pose by chance; 0 if later poses have shown that the
+    target had accelerated until ``since_ns``."""
+    log_odds: float = 0.0
+    """Log odds of the poses since ``since_ns`` between this filter and the track."""
+
+
+@dataclass(frozen=True, eq=False)
 class FilterState:
     """State of the filter at one time."""
 
@@ -139,6 +154,8 @@ class FilterState:
     """Factors by which the densities are raised because the estimate lags behind the target."""
     sums: tuple[InnovationSum, InnovationSum] = (NO_INNOVATIONS, NO_INNOVATIONS)
     """Sums of the innovations of position and of attitude, in which a lag is detected."""
+    steady: Steady | None = None
+    """Filter without the acceleration that a refused pose may show; None while there was none."""
 
     @property
     def size(self) -> int:

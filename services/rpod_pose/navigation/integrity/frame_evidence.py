@@ -39,7 +39,7 @@ UNRESOLVED = 2.0 / 3.0
 """Largest deviation of a size that the frames cannot exclude, over that of the tested other size. A
 likelihood prefers the nearer of two sizes, apart from a shift that right models show too. Hand: the shift was
 measured as 0.4 to 0.8 % of the size (mock-up, ENVISAT), where the other size is 3 % off."""
-_MOST_LOG_ODDS = 50.0
+MOST_LOG_ODDS = 50.0
 """Largest log odds in an exponential; larger ones are clipped. Numerics: the result stays finite."""
 
 
@@ -151,7 +151,7 @@ class FrameEvidence:
         for name, frames in self.sizes.items():
             for size, log_odds in _log_odds(frames, correlated_s):
                 step = turn @ size.step
-                probability = min(0.5 * share * exp(min(log_odds, _MOST_LOG_ODDS)), 1.0)
+                probability = min(0.5 * share * exp(min(log_odds, MOST_LOG_ODDS)), 1.0)
                 text = f"{name}: {_of_size(1.0 + size.share)}"
                 if probability > UNLIKELY * risk:
                     others.append(Solution(text, step, covariance, probability))

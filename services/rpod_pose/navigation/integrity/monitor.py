@@ -29,6 +29,7 @@ from rpod_pose.navigation.integrity.levels import (
 )
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.mounts import mount_offsets
+from rpod_pose.navigation.integrity.older import older_solutions
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import (
     Statistic,
@@ -234,11 +235,7 @@ class Monitor:
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
         assert state.history is not None  # noqa: S101 - guaranteed by the caller
-        group_ns = round(self._tuning.group_s * 1e9)
-        before = state.history.without_newest(state.history.state.stamp_ns - group_ns)
-        if before is not None:
-            older = predict(before, estimate.stamp_ns, self._filter)
-            solutions.append(solution("without the newest frames", estimate, older, self._tuning.group_share))
+        solutions += older_solutions(state.history, estimate, self._filter, self._tuning)
         solutions += refused_solutions(state.history, share)
         solutions += self._rivals(output, estimate)
         other_sizes, between = memory.frames.size_solutions(

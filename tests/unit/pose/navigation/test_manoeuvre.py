@@ -14,9 +14,11 @@ from rpod_pose.navigation.dynamics.manoeuvre import needed
 from rpod_pose.navigation.dynamics.torque_free import Inertia
 from rpod_pose.navigation.filter import CALM, predict, start
 from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.integrity.older import older_solutions
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, started
 from rpod_pose.ports import ErrorParts
 from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
+from rpod_schemas.config.estimator.integrity import IntegrityTuning
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel, Mode
@@ -141,16 +143,19 @@ def pushed(time_s: float, period_s: float = 1.0):
 
 def test_a_fast_sensor_follows_a_target_whose_acceleration_jumps():
     """Poses of 15 Hz: none is refused, as the gate did with every fourth, and the covariance holds."""
-    made, rng, nees = rig(pose=pushed(START_S)), np.random.default_rng(3), []
+    made, rng, nees, proven = rig(pose=pushed(START_S)), np.random.default_rng(3), [], []
     for number in range(75):
         time_s = START_S + number / 15.0
         output = made.see(seen(pushed(time_s), time_s, rng))
         assert (output.status.accepted, output.status.mode) == (True, Mode.TRACKING)
+        beside = made.state.history.state.steady
+        proven.append(beside is not None and not beside.by_chance)
         turn_rad, shift_m = pose_error(output.odometry.pose, pushed(time_s))
         assert np.degrees(np.linalg.norm(turn_rad)) < 1.0
         error = np.concatenate([shift_m, turn_rad])
         nees.append(error @ np.linalg.solve(output.odometry.pose_covariance, error))
     assert np.mean(nees) < 6.0
+    assert any(proven), "the poses after a refused one show that it was no chance"
 
 
 def test_frames_that_leave_one_axis_open_show_an_acceleration_about_the_others():
@@ -274,3 +279,67 @@ def test_a_model_that_states_its_own_noise_is_not_said_to_be_raised():
     assert factors.angular == 1.0
     assert 1.0 < factors.acceleration < 1e4
     assert calm.may_be_raised == (True, False)
+
+
+STATED = ErrorParts.lasting_model(np.diag(NOISE**2), np.zeros((6, 6)))
+
+
+def steady(number: int, rng, turned_deg: float = 0.0, rate_hz: float = 15.0) -> PoseMeasurement:
+    """Return a pose of a steady spin, with noise as stated, turned by an angle."""
+    time_s, off = number / rate_hz, NOISE * rng.standard_normal(6)
+    turn = Rotation.from_rotvec(off[3:]) * Rotation.from_rotvec([0.0, turned_deg, 0.0], degrees=True)
+    pose = make_pose(
+        rotation=turn * Rotation.from_rotvec([5.0 * time_s, 0.0, 0.0], degrees=True),
+        translation_m=np.array([0.0, 0.0, 7.0 - 0.25 * time_s]) + off[:3],
+    )
+    stamp_ns = round(time_s * SECOND_NS)
+    return PoseMeasurement(stamp_ns, pose, np.diag(NOISE**2), Origin("pmd", make_pose(), STATED), alone=True)
+
+
+def test_a_refusal_by_chance_raises_the_densities_for_a_few_frames():
+    """The gate refuses one pose in a hundred. Each began a manoeuvre that kept itself up for seconds."""
+    rng, history, raised = np.random.default_rng(1), None, []
+    for number in range(700):
+        measured = steady(number, rng, rate_hz=45.0)
+        if history is None:
+            history = History(started(measured, config=CONSIDERED))
+            continue
+        history = apply(history, measured, CONSIDERED).history
+        raised.append(history.state.manoeuvre.angular > 10.0)
+    assert 0.0 < np.mean(raised[45:]) < 0.04
+
+
+def test_a_single_wrong_pose_leaves_nothing_in_the_track_that_followed_it():
+    """It is turned by 1 deg, which an acceleration of a mission may do: the track follows it at first."""
+    with_it = History(started(steady(0, np.random.default_rng(3)), config=CONSIDERED))
+    without, rng = with_it, np.random.default_rng(4)
+    for number in range(1, 105):
+        wrong = number == 90
+        measured = steady(number, rng, turned_deg=1.0 if wrong else 0.0)
+        applied = apply(with_it, measured, CONSIDERED)
+        with_it = applied.history
+        if wrong:
+            assert applied.accepted
+            assert with_it.state.manoeuvre.angular > 10.0
+        else:
+            without = apply(without, measured, CONSIDERED).history
+    assert with_it.state.manoeuvre == CALM
+    assert np.allclose(with_it.state.covariance, without.state.covariance, rtol=1e-9, atol=0.0)
+    assert np.allclose(with_it.state.rate_rad_s, without.state.rate_rad_s, rtol=1e-9)
+
+
+def test_the_solution_without_the_newest_frames_weighs_whether_a_pose_was_refused_by_chance():
+    """The frames that decide are among the newest ones. A mission turns by 1.2 deg in this time."""
+    history = History(started(steady(0, np.random.default_rng(3)), config=CONSIDERED))
+    rng = np.random.default_rng(4)
+    for number in range(1, 95):
+        measured = steady(number, rng, turned_deg=1.0 if number == 90 else 0.0)
+        history = apply(history, measured, CONSIDERED).history
+    tuning = IntegrityTuning()
+    accelerating, calm = older_solutions(history, history.state, CONSIDERED, tuning)
+    assert accelerating.probability + calm.probability == pytest.approx(tuning.group_share)
+    assert 0.0 < accelerating.probability < calm.probability
+    worst_deg = [
+        np.degrees(np.sqrt(np.linalg.eigvalsh(x.covariance[3:, 3:])[-1])) for x in (accelerating, calm)
+    ]
+    assert worst_deg[1] < 0.4 < worst_deg[0] < 1.4
