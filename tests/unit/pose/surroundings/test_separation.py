@@ -9,8 +9,9 @@ from rpod_pose.pmd import depth_view
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.surroundings.places import around_place, places
-from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, with_target_at
-from rpod_pose.surroundings.separation import Margin as Errors
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans
+from rpod_pose.surroundings.sight import Margin as Errors
+from rpod_pose.surroundings.sight import with_target_at
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import load_target
