@@ -1,6 +1,7 @@
 """Classes of a frame's rays at a pose of the target, which is rendered and compared with the ranges."""
 
 from dataclasses import dataclass, replace
+from math import asin, atan2, hypot, pi, tan
 from typing import NamedTuple, Self
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_geometry.rays import RayGrid, cast_pose
 from rpod_pose.surroundings.separation import (
     BESIDE,
     Label,
@@ -30,7 +31,7 @@ SIGMAS = 4.0
 """Least margin of ranges around a found pose, in their standard deviations. Physics: one in 16,000 normal
 errors is larger."""
 ROUNDING = 1e-4
-"""Error of the cosine between a ray and a direction that is assumed. Numerics: rays in single precision."""
+"""Angle that is added to that of a ball in the field of view, rad. Numerics: above the rounding of slopes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,28 +77,57 @@ def _unexplained(
     T_sensor_target: RigidTransform,
 ) -> int:
     """Return ``Sight.unexplained`` without the thin lines of rays that end between two surfaces."""
-    window = _window_towards(image.grid, T_sensor_target.translation, AROUND * radius_m)
-    measured_m = image.range_m[window]
-    points_m = measured_m[..., None] * image.grid.directions[window]
+    ball = _window_of_ball(image.grid, T_sensor_target.translation, AROUND * radius_m)
+    measured_m = image.range_m[ball]
+    points_m = measured_m[..., None] * image.grid.directions[ball]
     away_m = np.linalg.norm(points_m - T_sensor_target.translation, axis=-1)
-    around = (measured_m > 0.0) & ~explained[window] & (away_m < AROUND * radius_m)
+    around = (measured_m > 0.0) & ~explained[ball] & (away_m < AROUND * radius_m)
+    if not around.any():
+        return 0
     count, number = patches(around)
     inner = np.flatnonzero(number)
     farthest_m = np.zeros(count)
     np.maximum.at(farthest_m, number[inner], away_m.ravel()[inner])
-    farthest_m[number[_border(image.range_m.shape)[window].ravel()]] = np.inf
+    farthest_m[number[_border(image.range_m.shape)[ball].ravel()]] = np.inf
     sizes = np.bincount(number, minlength=count)
     return int(sizes[1:][farthest_m[1:] < radius_m].max(initial=0))
 
 
-def _window_towards(grid: RayGrid, place_m: FloatArray, reach_m: float) -> Window:
-    """Return a window with all rays that pass a place, sensor axes, shape (3,), within a reach, m."""
-    distance_m = float(np.linalg.norm(place_m))
+def _window_of_ball(grid: RayGrid, place_m: FloatArray, radius_m: float) -> Window:
+    """Return a window with all rays that meet a ball, and those around them; empty if no ray meets it.
+
+    Args:
+        grid: the rays.
+        place_m: centre of the ball, sensor axes, shape (3,), m.
+        radius_m: radius of the ball.
+    """
+    bounds, (x, y, z) = grid.arrays, place_m.tolist()
+    return (
+        _lines_through(bounds.row_lower, bounds.row_upper, (y, z), radius_m),
+        _lines_through(bounds.column_lower, bounds.column_upper, (x, z), radius_m),
+    )
+
+
+def _lines_through(
+    lower: FloatArray, upper: FloatArray, place_m: tuple[float, float], reach_m: float
+) -> slice:
+    """Return the rows or columns of a grid whose rays may come within a reach of a place, and one more.
+
+    Args:
+        lower: bounds of their slopes, as in ``rpod_geometry.rays.Envelope``.
+        upper: the same.
+        place_m: coordinates of the place aside and ahead, m.
+        reach_m: the reach.
+    """
+    distance_m = hypot(*place_m)
     if distance_m <= reach_m:
-        return slice(None), slice(None)
-    towards = np.tensordot(place_m / distance_m, grid.components, axes=1)
-    least = np.sqrt(1.0 - (reach_m / distance_m) ** 2) - ROUNDING
-    return window_around(towards > least, Spans(1, 1))
+        return slice(0, len(lower))
+    middle, half = atan2(*place_m), asin(reach_m / distance_m) + ROUNDING
+    if max(middle + half, half - middle) >= 0.5 * pi:
+        return slice(0, len(lower))
+    first = int(np.searchsorted(upper, tan(middle - half)))
+    last = int(np.searchsorted(lower, tan(middle + half), side="right"))
+    return slice(max(first - 1, 0), last + 1)
 
 
 def _border(shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -167,12 +197,26 @@ class _Compared(NamedTuple):
     """Ranges of the target, infinite beside it."""
 
     @classmethod
-    def of(cls, image: RangeImage, hits: Hits, window: Window) -> Self:
-        """Return the rays in a window of an image."""
-        images = image.range_m, image.hidden, image.sigma_m, hits.range_m
-        range_m, hidden, sigma_m, rendered_m = (None if each is None else each[window] for each in images)
-        assert range_m is not None and rendered_m is not None  # noqa: S101, PT018 - they are no option
-        return cls(range_m, hidden, sigma_m, rendered_m)
+    def of(cls, image: RangeImage, target_m: Float32Array, window: Window) -> Self:
+        """Return the rays in a window of an image, with the ranges of the rendered target."""
+        hidden, sigma_m = (None if each is None else each[window] for each in (image.hidden, image.sigma_m))
+        return cls(image.range_m[window], hidden, sigma_m, target_m[window])
+
+
+def _rendered(
+    image: RangeImage, target: Target, T_sensor_target: RigidTransform
+) -> tuple[Float32Array, Float32Array]:
+    """Return the target's range on each ray, (rows, columns), inf beside it, and all those that meet it."""
+    pose, closed = T_sensor_target.as_matrix(), target.field is not None
+    R, t = pose[:3, :3].copy(), pose[:3, 3].copy()
+    ball = _window_of_ball(image.grid, t, target.radius_m)
+    grid = image.grid.block(*ball)
+    range_m = np.empty(grid.components.shape[1:], np.float32)
+    if range_m.size:
+        cast_pose(grid, target.triangles_m, R, t, closed, range_m, np.empty(range_m.shape, np.int32))
+    rendered_m = np.full(image.range_m.shape, np.inf, np.float32)
+    rendered_m[ball] = range_m
+    return rendered_m, range_m[np.isfinite(range_m)]
 
 
 def with_target_at(
@@ -182,15 +226,14 @@ def with_target_at(
 
     Only rays around the rendered target are compared with it. All others are beyond it.
     """
-    closed, distance_m = target.field is not None, float(np.linalg.norm(T_sensor_target.translation))
-    hits = cast(image.grid, target.triangles_m, T_sensor_target, cull_back_faces=closed)
-    met = hits.triangle >= 0
-    rendered_m = hits.range_m[met]
-    typical_m = float(np.median(rendered_m)) if len(rendered_m) else 1.0
-    reach = image.rays_across(margin.place_m, float(rendered_m.min(initial=distance_m)))
+    distance_m = float(np.linalg.norm(T_sensor_target.translation))
+    rendered_m, met_m = _rendered(image, target, T_sensor_target)
+    met = np.isfinite(rendered_m)
+    typical_m = float(np.median(met_m)) if len(met_m) else 1.0
+    reach = image.rays_across(margin.place_m, float(met_m.min(initial=distance_m)))
     beside = image.rays_across(BESIDE * target.radius_m, typical_m)
     window = window_around(met, Spans(*map(max, reach, beside)).longer(1))
-    rays = _Compared.of(image, hits, window)
+    rays = _Compared.of(image, rendered_m, window)
     part = _classes(rays, (reach, beside), margin, target.radius_m)
     labels = np.full(met.shape, Label.BEYOND, np.uint8)
     inside = np.zeros(met.shape, np.bool_)
