@@ -199,7 +199,8 @@ class _Compared(NamedTuple):
     @classmethod
     def of(cls, image: RangeImage, target_m: Float32Array, window: Window) -> Self:
         """Return the rays in a window of an image, with the ranges of the rendered target."""
-        hidden, sigma_m = (None if each is None else each[window] for each in (image.hidden, image.sigma_m))
+        hidden = None if image.hidden is None else image.hidden[window]
+        sigma_m = None if image.sigma_m is None else image.sigma_m[window]
         return cls(image.range_m[window], hidden, sigma_m, target_m[window])
 
 
