@@ -1,5 +1,7 @@
 """Separation of a PMD frame: its ranges, and the frame without the pixels of other things than the target."""
 
+from typing import NamedTuple, Self
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of
-from rpod_pose.surroundings.separation import Every, Label, RangeImage, upsampled
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, upsampled, window_around
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 
@@ -33,6 +35,9 @@ dark target, at most three are beside the target."""
 _AROUND, _NEAR_PX = np.ones((3, 3), np.uint8), (5, 5)
 """A pixel with its neighbours, and the size, px, of the window in which pixels of other things alone are
 searched. Hand: two pixels to each side are beyond the blur."""
+_REACH = Spans(4, 4)
+"""Margin, px, of the window around the target in which its outline's light is computed. Numerics: the means
+need three pixels beside the target, and one more lets no border change a filter."""
 
 
 class PartOfFrame(PmdFrame):
@@ -51,6 +56,7 @@ class PmdFrames:
 
     def __init__(self, range_bias_m: float = 0.0) -> None:
         self.range_bias_m = range_bias_m
+        self._unmeasured: tuple[PmdFrame, _Unmeasured] | None = None
 
     def image(self, frame: PmdFrame, *, fine: bool) -> RangeImage | None:
         """Return the ranges on a coarse or fine grid of pixels; None if the lens cannot be inverted."""
@@ -77,7 +83,7 @@ class PmdFrames:
         within its outline.
         """
         measured, shape, every = frame.depth_m > 0.0, frame.depth_m.shape, _every_fine(frame)
-        label = _of_unmeasured(upsampled(labels, every, shape), measured)
+        label = _of_unmeasured(upsampled(labels, every, shape), measured, self._regions(frame, measured))
         hiding, beyond = label == Label.HIDING, label == Label.BEYOND
         if frame.amplitude is None:
             beyond &= ~upsampled(inside, every, shape)
@@ -86,12 +92,17 @@ class PmdFrames:
         if frame.amplitude is not None:
             kept = label == Label.KEPT
             amplitude = np.where(hiding, frame.amplitude.dtype.type(0), frame.amplitude)
-            sides = _Sides(kept, measured, beyond & measured)
-            unmixed = _unmixed(frame, amplitude, sides, _sky(frame, kept & measured))
-            images["amplitude"] = np.where(beyond | sides.unclear, unmixed, amplitude)
+            images["amplitude"] = _without_others(frame, amplitude, kept, beyond)
         for image in images.values():
             image.setflags(write=False)  # as from the bus
         return frame.model_copy(update=images)
+
+    def _regions(self, frame: PmdFrame, measured: NDArray[np.bool_]) -> "_Unmeasured":
+        """Return the regions without ranges of a frame; those of the last frame are kept."""
+        last = self._unmeasured
+        if last is None or last[0] is not frame:
+            last = self._unmeasured = frame, _Unmeasured.of(measured)
+        return last[1]
 
     def behind_bodies(self, frame: PmdFrame, hides: NDArray[np.bool_]) -> PmdFrame:
         """Return a frame without the pixels on known bodies.
@@ -156,7 +167,25 @@ def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:
     return np.asarray(factor / np.maximum(amplitude, 1.0), np.float32)
 
 
-def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
+class _Unmeasured(NamedTuple):
+    """Connected regions of the pixels of a frame that have no range."""
+
+    number: NDArray[np.int32]
+    """Number of each pixel's region, shape (height, width), 0 if it has a range."""
+    sizes: NDArray[np.intp]
+    """Number of pixels of each region."""
+
+    @classmethod
+    def of(cls, measured: NDArray[np.bool_]) -> Self:
+        """Return the regions of a frame, whose pixels with a range are given, shape (height, width)."""
+        count, numbers = cv2.connectedComponents((~measured).view(np.uint8), connectivity=4)
+        number = np.asarray(numbers, np.int32)
+        return cls(number, np.bincount(number.ravel(), minlength=count))
+
+
+def _of_unmeasured(
+    label: NDArray[np.uint8], measured: NDArray[np.bool_], regions: _Unmeasured
+) -> NDArray[np.uint8]:
     """Return labels in which a pixel without a range has the label of the thing to which it belongs.
 
     A surface may lack the range of single pixels, and a dark or remote part of a room that of all its pixels.
@@ -165,23 +194,46 @@ def _of_unmeasured(label: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDA
     Args:
         label: ``Label`` of each pixel, shape (height, width).
         measured: pixels with a range, same shape.
+        regions: regions of the other pixels.
     """
     filled = label.copy()
+    window = window_around(label != Label.BEYOND, _REACH)
+    label, measured, number = label[window], measured[window], regions.number[window]
     unknown = ~measured & (label == Label.KEPT)
+    part = filled[window]
     for other in (Label.HIDING, Label.BEYOND):
         around = cv2.boxFilter((measured & (label == other)).view(np.uint8), -1, (3, 3), normalize=False)
-        filled[unknown & (around > _MOST)] = other
-    count, numbers = cv2.connectedComponents((~measured).view(np.uint8), connectivity=4)
-    region = np.asarray(numbers, np.intp)
-    beyond, beside = np.zeros(count, bool), np.zeros(count, bool)
-    beyond[region[~measured & (label == Label.BEYOND)]] = True
+        part[unknown & (around > _MOST)] = other
+    others = np.bincount(number[~measured & (label != Label.BEYOND)], minlength=len(regions.sizes))
+    beyond, beside = others < regions.sizes, np.zeros(len(regions.sizes), bool)
     kept = (measured & (label == Label.KEPT)).view(np.uint8)
-    beside[region[cv2.dilate(kept, _AROUND) > 0]] = True
-    filled[unknown & (beyond & ~beside)[region]] = Label.BEYOND
+    beside[number[cv2.dilate(kept, _AROUND) > 0]] = True
+    part[unknown & (beyond & ~beside)[number]] = Label.BEYOND
     return filled
 
 
-def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: float) -> Array:
+def _without_others(
+    frame: PmdFrame, amplitude: Array, kept: NDArray[np.bool_], beyond: NDArray[np.bool_]
+) -> Array:
+    """Return the amplitudes without the light of other things beyond the target, shape (height, width).
+
+    Args:
+        frame: the frame.
+        amplitude: its amplitudes, 0 where something hides the target, shape (height, width).
+        kept: pixels on the target, same shape.
+        beyond: pixels on other things, same shape.
+    """
+    measured = frame.depth_m > 0.0
+    sky, window = _sky(frame, kept & measured), window_around(kept, _REACH)
+    alone: Array = np.where(beyond, amplitude.dtype.type(sky), amplitude)
+    kept, measured, others = kept[window], measured[window], beyond[window]
+    sides = _Sides(kept, measured, others & measured)
+    unmixed = _unmixed(frame.depth_m[window], amplitude[window], sides, sky)
+    alone[window] = np.where(others | sides.unclear, unmixed, amplitude[window])
+    return alone
+
+
+def _unmixed(depth_m: Float32Array, amplitude: Array, sides: "_Sides", sky: float) -> Array:
     """Return the amplitudes of the outline's pixels without the light of the background, (height, width).
 
     A pixel at the outline shows the target and the background. Its range lies between both ranges, nearer to
@@ -191,11 +243,11 @@ def _unmixed(frame: PmdFrame, amplitude: Array, sides: "_Sides", sky: float) -> 
     used in the same way. If a side is unknown, the share is a half, which is right on average. The target's
     light is at most that of the whole pixel.
     """
-    near_m, lit = sides.range_of_target(frame.depth_m), sides.light_of_target(amplitude)
-    far_m, behind = sides.mean_of_others(frame.depth_m), sides.mean_of_others(amplitude)
+    near_m, lit = sides.range_of_target(depth_m), sides.light_of_target(amplitude)
+    far_m, behind = sides.mean_of_others(depth_m), sides.mean_of_others(amplitude)
     inner = sides.mean_of_inner(amplitude)
     with np.errstate(invalid="ignore", divide="ignore"):
-        light = np.clip((far_m - frame.depth_m) / (far_m - near_m), 0.0, 1.0)
+        light = np.clip((far_m - depth_m) / (far_m - near_m), 0.0, 1.0)
         by_range = light * behind / (light * behind + (1.0 - light) * lit)
         by_light = np.clip((behind - amplitude) / (behind - inner), 0.0, 1.0)
     ranged = np.isfinite(by_range)

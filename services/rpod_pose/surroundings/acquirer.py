@@ -79,7 +79,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         if image is not None:
             return self._found(measurement, image, pose)
         alone = self._in_frame(measurement, pose)
-        image = self._tracker.frames.image(measurement, fine=False)
+        image = self._tracker.image(measurement, fine=False)
         contradicted = alone.outcome is Outcome.FAILED and alone.belief.level is BeliefLevel.CONTRADICTED
         if image is None or not contradicted:
             return alone
@@ -99,8 +99,8 @@ class AcquirerAmongThings(Generic[FrameT]):
 
     def _found(self, measurement: FrameT, image: RangeImage, pose: RigidTransform | None) -> Acquisition:
         """Return the acquisition at the first place where a track may begin; otherwise the best failure."""
-        frames, radius_m = self._tracker.frames, self._tracker.target.radius_m
-        fine = frames.image(measurement, fine=True)
+        radius_m = self._tracker.target.radius_m
+        fine = self._tracker.image(measurement, fine=True)
         assert fine is not None  # noqa: S101 - the coarse image is known
         nothing = "no surface of the target's size stands apart from other things"
         best = Acquisition(Registration.none(Source.NONE, nothing))
@@ -145,7 +145,7 @@ class AcquirerAmongThings(Generic[FrameT]):
         target = self._tracker.target
         if self._tracker.cluttered(measurement) is None:
             return self._acquirer.acquire(measurement)
-        fine = self._tracker.frames.image(measurement, fine=True)
+        fine = self._tracker.image(measurement, fine=True)
         assert fine is not None  # noqa: S101 - the coarse image is known
         labels = around_place(image, fine, thing, target.radius_m)
         return self._searched(measurement, fine, labels, None)

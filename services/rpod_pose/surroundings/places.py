@@ -297,7 +297,7 @@ def around_place(
     labels = np.full(fine.range_m.shape, Label.BEYOND, np.uint8)
     labels[towards & unknown] = Label.HIDING
     labels[mine | (towards & ~measured)] = Label.KEPT
-    return with_bodies(labels, fine)
+    return with_bodies(labels, fine.hidden)
 
 
 def _bounds(

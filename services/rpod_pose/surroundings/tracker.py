@@ -12,7 +12,8 @@ from rpod_pose.belief import contradicted
 from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.ports import ComparingTracker, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
-from rpod_pose.surroundings.separation import SIGMAS, Margin, RangeImage, Sight, with_target_at
+from rpod_pose.surroundings.separation import RangeImage
+from rpod_pose.surroundings.sight import SIGMAS, Margin, Sight, with_target_at
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Source
 from rpod_target import Target
@@ -64,10 +65,18 @@ class TrackerAmongThings(Generic[FrameT]):
     ) -> None:
         self._tracker, self.frames, self.target = tracker, frames, target
         self._touching = touching
+        self._images: dict[bool, tuple[FrameT, RangeImage | None]] = {}
+
+    def image(self, frame: FrameT, *, fine: bool) -> RangeImage | None:
+        """Return ``Frames.image``; that of the last frame is kept, since each pose of a search needs it."""
+        last = self._images.get(fine)
+        if last is None or last[0] is not frame:
+            last = self._images[fine] = frame, self.frames.image(frame, fine=fine)
+        return last[1]
 
     def cluttered(self, frame: FrameT) -> RangeImage | None:
         """Return the ranges of few rays if a frame shows more than the target; otherwise None."""
-        image = self.frames.image(frame, fine=False)
+        image = self.image(frame, fine=False)
         if image is None or (image.hidden is None and not image.shows_more_than(self.target.radius_m)):
             return None
         return image
@@ -75,19 +84,22 @@ class TrackerAmongThings(Generic[FrameT]):
     def track(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
         whole = self.frames.whole_of(measurement)
-        if whole is None and self.cluttered(measurement) is None:
-            return self._alone(measurement, T_sensor_target)
-        if whole is not None and (reason := self.excluded(measurement, T_sensor_target)):
+        if whole is None:
+            if self.cluttered(measurement) is None:
+                return self._alone(measurement, T_sensor_target)
+            return self.track_among(measurement, T_sensor_target)
+        sight = self._first_sight(whole, T_sensor_target)
+        if sight is not None and (reason := self._unlike(sight, whole, T_sensor_target)):
             belief = contradicted(reason)
             return Registration(Source.NONE, T_sensor_target=T_sensor_target, belief=belief)
-        return self.track_among(measurement if whole is None else whole, T_sensor_target)
+        return self.track_among(whole, T_sensor_target, first=sight)
 
     def _alone(self, measurement: FrameT, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration in a frame that shows little more than the target would fill."""
         alone = self._tracker.track(measurement, T_sensor_target)
         if alone.continues_track or not self._touching:
             return alone
-        if self.frames.image(measurement, fine=False) is None:
+        if self.image(measurement, fine=False) is None:
             return alone
         among = self.track_among(measurement, T_sensor_target)
         return among if among.continues_track and self.is_touched(measurement, among) else alone
@@ -98,7 +110,7 @@ class TrackerAmongThings(Generic[FrameT]):
         The pose must explain more than a small part of the frame. Otherwise the other thing would be the
         target itself, and the pose would be in a hole of it or on one of its details.
         """
-        image, pose = self.frames.image(measurement, fine=True), found.T_sensor_target
+        image, pose = self.image(measurement, fine=True), found.T_sensor_target
         measured = found.belief.evidence.get(MEASURED, 0.0)
         if image is None or pose is None or measured < RIVAL * (1.0 - measured):
             return False
@@ -112,10 +124,22 @@ class TrackerAmongThings(Generic[FrameT]):
         than an alignment.
         """
         whole = self.frames.whole_of(measurement)
-        image = None if whole is None else self.frames.image(whole, fine=True)
-        if image is None:
+        sight = None if whole is None else self._first_sight(whole, T_sensor_target)
+        if whole is None or sight is None:
             return ""
-        sight = self._sight(MARGINS[0], image, Registration.none(Source.NONE, ""), T_sensor_target)
+        return self._unlike(sight, whole, T_sensor_target)
+
+    def _first_sight(self, frame: FrameT, T_sensor_target: RigidTransform) -> Sight | None:
+        """Return the classes of a frame's rays at a predicted pose; None if the frame has no ranges."""
+        image = self.image(frame, fine=True)
+        if image is None:
+            return None
+        return self._sight(MARGINS[0], image, Registration.none(Source.NONE, ""), T_sensor_target)
+
+    def _unlike(self, sight: Sight, frame: FrameT, T_sensor_target: RigidTransform) -> str:
+        """Return why the rays of a frame cannot show the target at a pose; empty if they can."""
+        image = self.image(frame, fine=True)
+        assert image is not None  # noqa: S101 - it has a sight
         return _unlike(sight, self._most_unexplained(image, T_sensor_target))
 
     def log_likelihoods(
@@ -156,6 +180,7 @@ class TrackerAmongThings(Generic[FrameT]):
         *,
         margins: tuple[float, ...] = MARGINS,
         before: Registration | None = None,
+        first: Sight | None = None,
     ) -> Registration:
         """Return the registration in a frame that shows more than the target.
 
@@ -167,13 +192,14 @@ class TrackerAmongThings(Generic[FrameT]):
             T_sensor_target: predicted pose.
             margins: errors of the pose that are tried in turn, over the target's radius.
             before: registration of the same frame that gave the pose; None if there is none.
+            first: classes of the rays at the predicted pose with the first margin; None if they are unknown.
         """
         stop_if_cancelled()
-        image = self.frames.image(measurement, fine=True)
+        image = self.image(measurement, fine=True)
         assert image is not None  # noqa: S101 - the coarse image is known
         found, pose = before or Registration.none(Source.NONE, ""), T_sensor_target
         for share in margins:
-            sight = self._sight(share, image, found, pose)
+            sight, first = first or self._sight(share, image, found, pose), None
             if share < MARGINS[0] and _unlike(sight, self._most_unexplained(image, pose)):
                 break
             found = self._tracked_in(sight, measurement, pose)

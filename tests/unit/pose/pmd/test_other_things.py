@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from rpod_pose.pmd import other_things
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.surroundings.separation import Label
 from rpod_schemas.types import Camera, PmdFrame
@@ -108,3 +109,18 @@ def test_amplitudes_may_be_of_any_size():
     touching = np.zeros((ROWS, COLUMNS), bool)
     separated = PmdFrames().separated(frame, lab.labels, touching)
     assert np.isfinite(separated.amplitude).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_the_light_of_others_is_taken_away_around_the_target_alone_with_the_same_result(monkeypatch, dtype):
+    laboratory, generator = Laboratory(), np.random.default_rng(1)
+    laboratory.depth_m += generator.normal(0.0, 0.02, (ROWS, COLUMNS)).astype(np.float32)
+    laboratory.lose((slice(12, 20), slice(24, 46)), (slice(2, 6), 30))
+    lost = generator.random((ROWS, COLUMNS)) < 0.1
+    laboratory.depth_m[lost] = np.nan
+    laboratory.amplitude = (laboratory.amplitude * generator.uniform(0.8, 1.2, (ROWS, COLUMNS))).astype(dtype)
+    around = laboratory.separated()
+    monkeypatch.setattr(other_things, "window_around", lambda *_: (slice(None), slice(None)))
+    whole = laboratory.separated()
+    for name in ("depth_m", "amplitude", "hidden"):
+        np.testing.assert_array_equal(getattr(around, name), getattr(whole, name), name)

@@ -13,6 +13,7 @@ from rpod_pose.belief import Belief
 from rpod_pose.methods import methods_of
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_pose.surroundings import tracker as tracker_module
 from rpod_pose.surroundings.known import Background, KnownParts, KnownSurroundingsError, known_parts
 from rpod_pose.surroundings.other_unit import other_units
 from rpod_pose.surroundings.separation import Label, RangeImage
@@ -374,3 +375,27 @@ def test_a_background_of_another_size_is_refused_with_both_sizes(tmp_path):
     with pytest.raises(KnownSurroundingsError, match=r"background .*none\.npz cannot be read"):
         known_parts(tmp_path / "known.yaml", "pmd", PmdFrames())
     assert known_parts(tmp_path / "known.yaml", "lidar", PmdFrames()) is None
+
+
+def test_poses_of_one_frame_share_its_ranges_and_a_pose_is_rendered_once_for_its_check_and_its_alignment(
+    monkeypatch,
+):
+    class Nothing:
+        def track(self, *_) -> Registration:
+            return Registration.none(Source.NONE, "")
+
+    calls, rendered = [], tracker_module.with_target_at
+    monkeypatch.setattr(
+        tracker_module, "with_target_at", lambda *given: calls.append("pose") or rendered(*given)
+    )
+    frames = PmdFrames()
+    image = frames.image
+    monkeypatch.setattr(
+        frames, "image", lambda *given, **fine: calls.append("ranges") or image(*given, **fine)
+    )
+    tracker = tracker_module.TrackerAmongThings(Nothing(), frames, load_target("mockup"))
+    whole = frame("laboratory")
+    part = frames.part_of(whole, whole)
+    for angle_deg in (0.0, 1.0):
+        assert not tracker.track(part, near(angle_deg, 0.0)).belief.reason
+    assert calls == ["ranges", "pose", "pose"]

@@ -8,9 +8,11 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd import depth_view
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.other_things import PmdFrames
+from rpod_pose.surroundings import sight
 from rpod_pose.surroundings.places import around_place, places
-from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, with_target_at
-from rpod_pose.surroundings.separation import Margin as Errors
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans
+from rpod_pose.surroundings.sight import Margin as Errors
+from rpod_pose.surroundings.sight import with_target_at
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import load_target
@@ -207,3 +209,25 @@ def test_a_lens_is_inverted_once_for_all_views_of_a_camera(monkeypatch):
         every = (slice(view.offset, None, view.stride),) * 2
         slopes = view.coarse.components[:2] / view.coarse.components[2]
         assert np.allclose(np.moveaxis(slopes, 0, -1), view.slopes[every], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "place_m", [(0.1, 0, 4), (1.0, -0.8, 4), (-2.5, 0, 6), (9, 0, 4), (0, 0, 0.8), (0, 0, -3)]
+)
+@pytest.mark.parametrize(
+    "grid", [GRID, RayGrid.azimuth_elevation(np.radians(np.arange(-30, 31)), np.radians(np.arange(20)))]
+)
+def test_rays_are_compared_around_the_target_alone_with_the_same_result(monkeypatch, place_m, grid):
+    """The target is in view, cut by the border, outside, around the sensor, and behind it."""
+    generator, pose = np.random.default_rng(1), make_pose(rotation=POSE.rotation, translation_m=place_m)
+    range_m = cast(grid, TARGET.triangles_m, pose).range_m
+    range_m = np.where(np.isfinite(range_m), range_m, np.float32(5.0)).astype(np.float32)
+    range_m[generator.random(grid.shape) < 0.1] = 0.0
+    range_m[5:12, 10:30] = np.float32(np.linalg.norm(place_m))
+    image = RangeImage(grid, range_m, generator.random(grid.shape) < 0.1)
+    around = with_target_at(image, TARGET, pose, ERRORS)
+    everywhere = slice(None), slice(None)
+    monkeypatch.setattr(sight, "window_around", lambda *_: everywhere)
+    monkeypatch.setattr(sight, "_window_of_ball", lambda *_: everywhere)
+    for name, value in vars(with_target_at(image, TARGET, pose, ERRORS)).items():
+        np.testing.assert_array_equal(getattr(around, name), value, name)
