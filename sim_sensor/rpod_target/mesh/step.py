@@ -1,6 +1,7 @@
 """STEP files, which the library cascadio (OpenCASCADE) turns into GLB; needs the extra ``step``."""
 
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -14,7 +15,9 @@ _DEFLECTION = 0.001
 _ANGLE_RAD = 0.2
 """Largest angle between neighbouring segments of a curved edge."""
 _LONGEST_S = 600.0
-"""Time after which a file is given up: 2 million triangles take less than a minute."""
+"""Time after which a file is given up, s."""
+_MOST_BYTES = 4 << 30
+"""Largest memory of the process that reads a file, bytes: a damaged file may ask for any."""
 _REASON = re.compile(rb"ERR StepFile : (.*?)\s*\*{4}")
 _METRES = re.compile(rb"SI_UNIT\s*\(\s*(?:\$|\.([A-Z]+)\.)\s*,\s*\.METRE\.\s*\)")
 _CONVERTED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'\s*([A-Za-z]+)")
@@ -66,7 +69,8 @@ def as_glb(content: bytes) -> bytes:
             warnings.warn(f"OpenCASCADE reads a part of the STEP file alone: {text}", stacklevel=2)
         return glb
     if done.returncode < 0:
-        found.append(f"it ends OpenCASCADE by {signal.Signals(-done.returncode).name}")
+        end = signal.Signals(-done.returncode).name
+        found.append(f"it ends OpenCASCADE by {end}, or needs more than {_MOST_BYTES >> 30} GiB of memory")
     raise ValueError(found[0] if found else "OpenCASCADE finds no shape in it")
 
 
@@ -74,6 +78,7 @@ def _main() -> None:
     """Write the STEP file on the standard input as GLB to the path that is the first argument."""
     import cascadio  # noqa: PLC0415 - only STEP files need it
 
+    resource.setrlimit(resource.RLIMIT_AS, (_MOST_BYTES, _MOST_BYTES))
     glb = cascadio.load(
         sys.stdin.buffer.read(),
         file_type="step",
