@@ -8,6 +8,7 @@ import hashlib
 import json
 import logging
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -226,10 +227,11 @@ def player(*, hash_seed: int, niceness: int = 0) -> Iterator[Any]:
 
         yield ended
     finally:
-        process.kill()
+        process.terminate()  # so that it ends its router too
         process.wait()
 
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     sys.stdout.write(json.dumps(asdict(play_all())))
