@@ -51,7 +51,7 @@ class Echo:
 
     def start(self) -> None:
         """Start the answering process."""
-        self._process = subprocess.Popen([sys.executable, "-m", "endurance.echo", self._endpoint])
+        self._process = subprocess.Popen([sys.executable, "-P", __file__, self._endpoint])
 
     def kill(self) -> None:
         """Kill the answering process."""
