@@ -104,11 +104,7 @@ def read_mesh_file(
         units, content = step.units(content), _as_glb(suffix, content)
         if reason := unusable(".glb", content, largest_mb=largest_mb):
             raise ValueError(reason)
-    try:
-        scene = _scene(*_prepared(suffix, content, beside))
-        pieces = list(_pieces(scene))
-    except ValueError as error:
-        raise ValueError(f"{error}{obj_text.wrong_line(content) if suffix == '.obj' else ''}") from error
+    scene, pieces = _read(suffix, content, beside)
     if not pieces:
         raise ValueError(without_faces(list(scene.geometry.values())))
     if suffix == ".ply" and (reason := lost_faces(content, sum(len(piece.triangles) for piece in pieces))):
@@ -129,6 +125,17 @@ def read_mesh_file(
     if not np.isfinite(mesh.triangles).all():
         raise ValueError("contains a coordinate that is not finite: export it again")
     return mesh
+
+
+def _read(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> tuple[Any, "list[_Piece]"]:
+    """Return a file as its reader gives it, and the triangles. Raises ``ValueError``."""
+    try:
+        scene = _scene(*_prepared(suffix, content, beside))
+        return scene, list(_pieces(scene))
+    except ValueError as error:
+        if suffix != ".obj" or str(error) not in {obj_text.NO_CORNER, obj_text.NO_NUMBER}:
+            raise
+        raise ValueError(f"{error}{obj_text.wrong_line(content)}") from error
 
 
 def _with_names_of_their_own(materials: Sequence[FileMaterial]) -> Iterator[FileMaterial]:

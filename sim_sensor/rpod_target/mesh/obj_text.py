@@ -5,6 +5,8 @@ indices, splits polygons as fans, counts negative indices from the end of the fi
 that are indented or have tabs. So each of these is replaced in the text before; the reader does the rest.
 """
 
+import io
+import math
 import re
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -27,6 +29,7 @@ _FACES = re.compile(rb"(?:^[ \t]*+f[ \t][^\n]*+(?:\n|\Z)){1,65536}+", re.MULTILI
 _POLYGON = re.compile(rb"^[ \t]*+f(?:[ \t]++[^\s#]++){4}", re.MULTILINE)
 _AFTER_SLASH = re.compile(rb"/[-0-9/]*")
 _CORNER = re.compile(rb"^[ \t]*+v[ \t]++(\S++)[ \t]++(\S++)[ \t]++(\S++)", re.MULTILINE)
+_CORNER_LINE = re.compile(rb"^[ \t]*+v[ \t]", re.MULTILINE)
 _OWN_LIBRARY = "materials.mtl"
 NO_CORNER = "has a face with a corner that is not in the file: export it again"
 """Why a file is refused whose faces count beyond its corners."""
@@ -80,9 +83,10 @@ def wrong_line(content: bytes) -> str:
     Args:
         content: text of a file that was refused.
     """
-    lines = [line.partition(b"#")[0].split() for line in with_line_feeds(content).split(b"\n")]
-    corners, before = sum(words[:1] == [b"v"] for words in lines), 0
-    for number, words in enumerate(lines, 1):
+    text = with_line_feeds(content)
+    corners, before = sum(1 for _ in _CORNER_LINE.finditer(text)), 0
+    for number, line in enumerate(io.BytesIO(text), 1):
+        words = line.partition(b"#")[0].split()
         before += words[:1] == [b"v"]
         if words[:1] in ([b"v"], [b"f"]) and _is_wrong(words, before, corners):
             return f"; line {number} is '{b' '.join(words)[:80].decode('utf-8', 'replace')}'"
@@ -93,11 +97,13 @@ def _is_wrong(words: list[bytes], before: int, corners: int) -> bool:
     """Return whether a line of a corner or face is wrong, behind ``before`` of ``corners`` corners."""
     try:
         if words[0] == b"v":
-            return not np.isfinite([float(word) for word in words[1:4]]).all()
-        index = np.array([int(word.partition(b"/")[0]) for word in words[1:]])
+            return not all(math.isfinite(float(word)) for word in words[1:4])
+        return any(
+            index == 0 or not -before <= index <= corners
+            for index in (int(word.partition(b"/")[0]) for word in words[1:])
+        )
     except ValueError:
         return True
-    return bool(((index == 0) | (index > corners) | (index < -before)).any())
 
 
 def _plain(content: bytes) -> bytes:
