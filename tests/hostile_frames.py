@@ -72,7 +72,7 @@ def pmd_frame(seed: int, camera: Camera) -> PmdFrame:
 def scan(seed: int) -> LidarScan:
     """Return a scan, organised or not, of the pattern's size or another."""
     rng = np.random.default_rng(seed)
-    shape = ((21, 21), (5,), (0,), (300,), (7, 3), (1, 1))[seed % 6]
+    shape = ((11, 11), (5,), (0,), (90,), (7, 3), (1, 1))[seed % 6]
     middle_m = 0.0, 0.0, rng.choice(LENGTHS_M)
     points_m = rng.standard_normal((*shape, 3)) * rng.choice((1e-3, 1.0, 1e30)) + middle_m
     points_m[rng.random(shape) < rng.choice(SHARES)] = rng.choice(LENGTHS_M, 3)
@@ -88,10 +88,10 @@ def pose(seed: int) -> RigidTransform:
 
 
 def methods(kind: str) -> Any:
-    """Return the methods of a LIDAR of 21 x 21 rays, or of a PMD camera."""
+    """Return the methods of a LIDAR of 11 x 11 rays, or of a PMD camera."""
     if kind == "pmd":
         return methods_of(PmdInput(), load_target("mockup"))
-    angles_rad = np.deg2rad(np.linspace(-10.0, 10.0, 21))
+    angles_rad = np.deg2rad(np.linspace(-10.0, 10.0, 11))
     return methods_of(LidarInput(), load_target("envisat-bulky"), ScanPattern(angles_rad, angles_rad))
 
 

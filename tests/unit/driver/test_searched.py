@@ -79,7 +79,7 @@ def seen(kept, kind="pmd", newest_info=None):
 def test_a_camera_is_searched_as_it_is_and_under_the_mistakes_of_a_first_day(
     mistake, level, faults, monkeypatch
 ):
-    for name, number in {"_FRAMES": 4, "_NEEDED": 3, "_ENOUGH": 1}.items():  # a search takes seconds
+    for name, number in {"_FRAMES": 3, "_NEEDED": 3, "_ENOUGH": 1}.items():  # a search takes seconds
         monkeypatch.setattr(f"rpod_driver.searched.{name}", number)
     observed = seen([mistake(frame) for frame in frames()])
     result = searched(observed, load_target("mockup"), now_s=lambda: 0.0)  # a loaded machine may take minutes
