@@ -16,19 +16,27 @@ from rpod_analysis.calibration.depth_calibration import RangeBin, evidence, fit,
 from rpod_analysis.calibration.depth_samples import collect
 from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.config.base import load
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.errors import ConfigurationError
 
 
 def calibrate_command(
-    logs: Sequence[Path], *, camera: str, check: Path | None, out: Path | None, as_json: bool
+    logs: Sequence[Path],
+    *,
+    camera: str,
+    config: Path | None,
+    check: Path | None,
+    out: Path | None,
+    as_json: bool,
 ) -> int:
     """Fit a calibration to logs, or check an existing one on them; return the exit code."""
     try:
         given = load(DepthCalibration, check) if check else None
+        estimator = load(EstimatorConfig, config) if config else None
         with ExitStack() as stack:
             opened = [stack.enter_context(open_log(path)) for path in logs]
-            samples = collect(opened, camera)
+            samples = collect(opened, camera, estimator)
         calibration = (
             fit(samples) if given is None else given.model_copy(update={"evidence": evidence(samples, given)})
         )

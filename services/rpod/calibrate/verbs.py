@@ -54,6 +54,12 @@ def calibrate() -> None:
 def depth(
     logs: Annotated[list[Path], typer.Argument(help="MCAP files with a PMD camera's frames and the truth.")],
     camera: Annotated[str, typer.Option("--camera", help="Name of the camera.")] = "pmd",
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", help="Estimator with the target and the camera's mount; by default those in the log."
+        ),
+    ] = None,
     check: Annotated[
         Path | None, typer.Option("--check", help="Calibration to check on the logs, instead of a fit.")
     ] = None,
@@ -67,7 +73,9 @@ def depth(
     """
     from rpod.calibrate.depth import calibrate_command
 
-    raise typer.Exit(calibrate_command(logs, camera=camera, check=check, out=out, as_json=as_json))
+    raise typer.Exit(
+        calibrate_command(logs, camera=camera, config=config, check=check, out=out, as_json=as_json)
+    )
 
 
 @calibrate_verbs.command()

@@ -23,6 +23,7 @@ from rpod_analysis.scoring.score import BoolArray, Track, calibration_gap_ns, in
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.pmd.depth_calibration import unambiguous_range_m
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
@@ -62,14 +63,20 @@ class DepthSamples:
         return int(np.unique(self.frame).size)
 
 
-def collect(logs: list[Log], camera: str) -> DepthSamples:
+def collect(logs: list[Log], camera: str, config: EstimatorConfig | None = None) -> DepthSamples:
     """Return the pixels of a camera in one or several runs.
+
+    Args:
+        logs: logs with frames of the camera and the truth.
+        camera: name of the camera.
+        config: configuration of an estimator, whose target and mount of the camera go before those of the
+            logs.
 
     Raises:
         CalibrationError: a log lacks the camera, its mount, its frequency, the target or the truth; or two
             logs have different cameras or targets.
     """
-    parts = [_of_log(log, camera) for log in logs]
+    parts = [_of_log(log, camera, config) for log in logs]
     for field in ("modulation_frequency_hz", "target"):
         values = {getattr(part, field) for part in parts}
         if len(values) > 1:
@@ -85,17 +92,20 @@ def collect(logs: list[Log], camera: str) -> DepthSamples:
     )
 
 
-def _of_log(log: Log, camera: str) -> DepthSamples:
+def _of_log(log: Log, camera: str, config: EstimatorConfig | None) -> DepthSamples:
     name = log.paths[0].name
     sensor, truth = pmd_camera(log, camera, option="--camera", otherwise=_OF_LIDAR), _truth(log)
-    if sensor.T_chaser_sensor is None:
+    heard = config.sensors if config else ()
+    given = [item.T_chaser_sensor for item in heard if item.name == camera]
+    mount = next((pose for pose in (*given, sensor.T_chaser_sensor) if pose is not None), None)
+    if mount is None:
         raise CalibrationError(
             f"{name}: neither tf_static nor the configuration in the log gives the mount of {camera!r}; let "
-            "its driver publish tf_static"
+            "its driver publish tf_static, or give an estimator's configuration with --config"
         )
     frequencies_hz = _frequencies(log, camera)
-    target = _target(log)
-    reference = _Reference(target, sensor.T_chaser_sensor, truth, frequencies_hz)
+    target = _target(log, config.target if config else logged_targets(log).shown)
+    reference = _Reference(target, mount, truth, frequencies_hz)
     try:
         pixels = [
             (number, *found)
@@ -136,12 +146,11 @@ def _configured_sensors(log: Log, camera: str) -> Iterator[dict[str, Any]]:
         yield from (entry for entry in configured_sensors(service) if entry.get("name") == camera)
 
 
-def _target(log: Log) -> Target:
-    name = logged_targets(log).shown
+def _target(log: Log, name: str | None) -> Target:
     if name is None:
         raise CalibrationError(
-            f"{log.paths[0].name}: no configuration in the log names the target; run the estimator, with its "
-            "target, beside the logger"
+            f"{log.paths[0].name}: no configuration in the log names the target; give an estimator's with "
+            "--config, or run the estimator beside the logger"
         )
     try:
         return load_target(name)

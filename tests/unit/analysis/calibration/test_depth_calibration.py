@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
-from synthetic_log import SyntheticRun
+from synthetic_log import T_CHASER_SENSOR, SyntheticRun
 
 from rpod.calibrate.background import background_command
 from rpod.calibrate.depth import calibrate_command
@@ -18,7 +18,7 @@ from rpod_analysis.errors import CalibrationError
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.surroundings.known import known_parts
 from rpod_schemas.config.base import load
-from rpod_schemas.config.estimator import PmdInput
+from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, Harmonic, unambiguous_range_m
 from rpod_schemas.poses import make_pose
@@ -81,10 +81,10 @@ def logs(tmp_path_factory):
     return write(folder / "in.mcap", inwards, seed=1), write(folder / "out.mcap", outwards, seed=2)
 
 
-def samples_of(*paths):
+def samples_of(*paths, config=None):
     opened = [open_log(path) for path in paths]
     try:
-        return collect(opened, "pmd")
+        return collect(opened, "pmd", config)
     finally:
         for log in opened:
             log.__exit__(None, None, None)
@@ -156,6 +156,19 @@ def test_a_log_that_lacks_something_is_refused_by_its_name(tmp_path, changes, re
     with pytest.raises(CalibrationError, match=reason) as caught:
         samples_of(path)
     assert "poor.mcap" in str(caught.value)
+
+
+def test_a_configuration_gives_the_target_and_the_mount_that_a_log_lacks(tmp_path):
+    named, bare = (
+        write(tmp_path / name, inwards, seed=3, duration_s=0.2, **changes)
+        for name, changes in (("named.mcap", {}), ("bare.mcap", {"target": None}))
+    )
+    config = EstimatorConfig(target="mockup", sensors=(PmdInput(),))
+    np.testing.assert_array_equal(samples_of(bare, config=config).error_m, samples_of(named).error_m)
+    nearer = T_CHASER_SENSOR * make_pose(translation_m=(0.0, 0.0, 0.1))
+    config = config.model_copy(update={"sensors": (PmdInput(T_chaser_sensor=nearer),)})
+    shorter_m = samples_of(named).true_m.min() - samples_of(bare, config=config).true_m.min()
+    assert shorter_m == pytest.approx(0.1, abs=0.02)
 
 
 @pytest.mark.parametrize("truth_rate_hz", [10.0, 100.0])
@@ -317,9 +330,9 @@ def test_an_error_that_cannot_be_undone_is_refused():
 
 def test_the_command_writes_the_file_and_checks_it_on_another_log(logs, tmp_path, capsys):
     out = tmp_path / "pmd.yaml"
-    assert calibrate_command(logs[:1], camera="pmd", check=None, out=out, as_json=False) == 0
+    assert calibrate_command(logs[:1], camera="pmd", config=None, check=None, out=out, as_json=False) == 0
     assert "order 4 at 20.013 MHz" in capsys.readouterr().out
-    assert calibrate_command(logs[1:], camera="pmd", check=out, out=None, as_json=True) == 0
+    assert calibrate_command(logs[1:], camera="pmd", config=None, check=out, out=None, as_json=True) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["file"] is None
     assert told["evidence"]["logs"] == ["out.mcap"]
@@ -330,8 +343,10 @@ def test_the_command_writes_the_file_and_checks_it_on_another_log(logs, tmp_path
 
 def test_the_command_fails_with_one_line(tmp_path, capsys):
     missing = [tmp_path / "none.mcap"]
-    assert calibrate_command(missing, camera="pmd", check=None, out=None, as_json=False) == 1
-    assert calibrate_command(missing, camera="pmd", check=missing[0], out=None, as_json=False) == 2
+    assert calibrate_command(missing, camera="pmd", config=None, check=None, out=None, as_json=False) == 1
+    assert (
+        calibrate_command(missing, camera="pmd", config=None, check=missing[0], out=None, as_json=False) == 2
+    )
     assert len(capsys.readouterr().err.splitlines()) == 2
 
 
