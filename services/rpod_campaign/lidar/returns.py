@@ -32,6 +32,8 @@ _VIEWS, _PIXELS = 12, 64
 """Number of attitudes, and of pixels along each side of an image, that measure a silhouette."""
 _ATTITUDES = 8
 """Number of attitudes over which returns are averaged."""
+_REACH = 1.5
+"""Distance from the target's origin, over its radius, up to which returns count: that of range outliers."""
 _ROUNDS = 6
 """Number of corrections of a range."""
 
@@ -112,13 +114,19 @@ def scan_with_returns(
     range_m = window.range_m(returns)
     pose, scan = taken(range_m)
     for _ in range(_ROUNDS):
-        share = max(len(scan.returns_m) / returns, 0.1)
+        share = max(returns_on(loaded, pose, scan) / returns, 0.1)
         next_m = max(window.nearest_m, range_m * sqrt(share))
         if abs(share - 1.0) < 0.1 or next_m == range_m:
             break
         range_m = next_m
         pose, scan = taken(range_m)
     return pose, scan
+
+
+def returns_on(target: Target, pose: RigidTransform, scan: LidarScan) -> int:
+    """Return the number of returns of a scan that may be on the target: false ones lie mostly elsewhere."""
+    away_m = np.linalg.norm(pose.inv().apply(scan.returns_m.astype(np.float64)), axis=1)
+    return int(np.count_nonzero(away_m <= _REACH * target.radius_m))
 
 
 @lru_cache(maxsize=256)

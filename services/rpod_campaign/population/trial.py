@@ -20,7 +20,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import pattern_of
-from rpod_campaign.lidar.returns import scan_with_returns, window_of
+from rpod_campaign.lidar.returns import returns_on, scan_with_returns, window_of
 from rpod_campaign.lidar.scene import emulator_of, scan_of
 from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, range_filling, reaching
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
@@ -217,7 +217,7 @@ def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Take
     least, greatest = cell.wanted
     returns = exp(generator.uniform(log(least), log(greatest)))
     truth, scan = scan_with_returns(emulator, cell.target, attitude, returns=returns, trial=trial)
-    alone = len(scan.returns_m)
+    alone = returns_on(cached_target(cell.target), truth, scan)
     if things := _things(cell, T_sensor_target=truth):
         config = window_of(cell.target).config()
         among = emulator_of(cell.target, config, seed, world=cell.world, things=things)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import contradicted, undetermined
-from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.projective_icp import ProjectiveIcp, with_false_returns
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
@@ -112,7 +112,18 @@ class GlobalSearch:
         return np.array([pose.log_mass(self._radius_m) for pose in sampled])
 
     def _found(self, measurement: LidarScan, around: FloatArray | None) -> Acquisition:
-        tuning, whole = self._tuning, self._seen(measurement)
+        whole = self._seen(measurement)
+        found = self._found_in(whole, around)
+        cleaned = self._tracker.without_false_returns(whole, found.registration)
+        if cleaned is None:
+            return found
+        again = self._found_in(cleaned, around)
+        if not again.belief.continues_track:
+            return found
+        return replace(again, registration=with_false_returns(again.registration, whole, cleaned))
+
+    def _found_in(self, whole: SeenScan, around: FloatArray | None) -> Acquisition:
+        tuning = self._tuning
         if whole.returns < tuning.min_points:
             return self._too_few(whole)
         search = self._search_in(whole)

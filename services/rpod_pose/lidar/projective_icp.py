@@ -147,6 +147,20 @@ class ProjectiveIcp:
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""
         seen = self.view.seen(measurement)
+        found = self._tracked(seen, T_sensor_target)
+        cleaned = self.without_false_returns(seen, found)
+        if cleaned is None:
+            return found
+        again = self._tracked(cleaned, T_sensor_target)
+        return with_false_returns(again, seen, cleaned) if again.continues_track else found
+
+    def without_false_returns(self, seen: SeenScan, found: Registration) -> SeenScan | None:
+        """Return a scan without its false returns if they alone contradict a registration, otherwise None."""
+        if found.T_sensor_target is None or found.belief.level is not BeliefLevel.CONTRADICTED:
+            return None
+        return self.model.without_false_returns(seen, *PoseArrays.of(found.T_sensor_target))
+
+    def _tracked(self, seen: SeenScan, T_sensor_target: RigidTransform) -> Registration:
         if seen.returns < self._tuning.min_points:
             return _failed(f"{seen.returns} returns, {self._tuning.min_points} needed")
         points = Points.equal(seen.downsampled(self._tuning.points))
@@ -331,6 +345,12 @@ def _with_least_covariance(registration: Registration, spread: FloatArray) -> Re
     reason = f"the turn about the axis is undetermined: sigma {sigma_deg:.1f} deg, limit {VAGUE_DEG:g} deg"
     belief = replace(registration.belief, level=BeliefLevel.DOUBTFUL, reason=reason)
     return replace(registration, belief=belief)
+
+
+def with_false_returns(found: Registration, seen: SeenScan, cleaned: SeenScan) -> Registration:
+    """Return a registration in a cleaned scan, whose evidence tells the number of false returns."""
+    false = {"false_returns": float(seen.returns - cleaned.returns)}
+    return replace(found, belief=replace(found.belief, evidence={**found.belief.evidence, **false}))
 
 
 def _failed(reason: str) -> Registration:

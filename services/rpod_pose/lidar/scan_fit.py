@@ -21,7 +21,6 @@ from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.cancellation import stop_if_cancelled
-from rpod_pose.lidar.detection import LINEAR_STEPS, detection, expected_shares
 from rpod_pose.lidar.posterior.sampled_posterior import (
     Proposal,
     SampledPosterior,
@@ -29,6 +28,8 @@ from rpod_pose.lidar.posterior.sampled_posterior import (
     log_likelihoods,
     sampled_posterior,
 )
+from rpod_pose.lidar.returns.detection import LINEAR_STEPS, detection, expected_shares
+from rpod_pose.lidar.returns.false_returns import lone_returns
 from rpod_pose.lidar.scan_likelihood import (
     PEAK,
     STEEPEST,
@@ -160,8 +161,7 @@ class ScanModel:
         evidence = self._evidence(fit, seen.returns)
         if self._explains(evidence):
             return Belief(evidence=evidence)
-        less = ScanFit.of(scan_statistics(seen.range_m, R, t, self._rays(seen), self._pessimistic))
-        pessimistic = self._evidence(less, seen.returns)
+        pessimistic = self._evidence(self._pessimistic_fit(seen, R, t), seen.returns)
         if self._explains(pessimistic):
             return Belief(evidence=pessimistic)
         reason = (
@@ -170,11 +170,28 @@ class ScanModel:
         )
         return self._marked(contradicted(reason, **evidence), seen, R, missing=rays.missing >= 1.0)
 
-    def _marked(self, belief: Belief, seen: SeenScan, R: FloatArray, *, missing: bool) -> Belief:
-        """Return a belief with the rays that are inconsistent with the pose that was cast last.
+    def without_false_returns(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> SeenScan | None:
+        """Return a scan without its false returns if a pose explains it then, otherwise None.
 
-        These are the returns that clutter explains better than the target does. If more returns are missing
-        than the echoes explain, they are also the rays that meet the target and gave no return.
+        The pose has to explain those lone returns that may be of surfaces. In the result all are left out,
+        since they would pull the pose. The arguments are those of ``fit``.
+        """
+        if not self.fit(seen, R, t).agreement.agreeing:
+            return None
+        lone = lone_returns(seen, self._agreeing(seen, R))
+        likely = seen.without(lone.places[lone.of_surfaces :])
+        fits = self.fit(likely, R, t), self._pessimistic_fit(likely, R, t)
+        explained = any(self._explains(self._evidence(fit, likely.returns)) for fit in fits)
+        return seen.without(lone.places) if explained else None
+
+    def _pessimistic_fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
+        statistics = scan_statistics(seen.range_m, R, t, self._rays(seen), self._pessimistic)
+        return ScanFit.of(statistics)
+
+    def _agreeing(self, seen: SeenScan, R: FloatArray) -> NDArray[np.bool_]:
+        """Return the mask of the returns that the target explains better than clutter does.
+
+        The target is at the pose that was cast last, with the rotation R.
         """
         hits = self._view.hits
         met, measured = hits.triangle >= 0, seen.range_m > 0.0
@@ -183,10 +200,19 @@ class ScanModel:
         slack_m = self.assumed.slack_m / np.maximum(cosine, STEEPEST)
         variance = self.assumed.sigma_m**2 + slack_m**2
         tail = 1.0 + 0.25 * (seen.range_m - np.where(met, hits.range_m, 0.0)) ** 2 / variance
-        agrees = PEAK / (np.sqrt(variance * tail) * tail * tail) > self.assumed.clutter_density
-        marked = measured & ~(met & agrees)
+        density = PEAK / (np.sqrt(variance * tail) * tail * tail)
+        agreeing: NDArray[np.bool_] = measured & met & (density > self.assumed.clutter_density)
+        return agreeing
+
+    def _marked(self, belief: Belief, seen: SeenScan, R: FloatArray, *, missing: bool) -> Belief:
+        """Return a belief with the rays that are inconsistent with the pose that was cast last.
+
+        These are the returns that clutter explains better than the target does. If more returns are missing
+        than the echoes explain, they are also the rays that meet the target and gave no return.
+        """
+        marked = (seen.range_m > 0.0) & ~self._agreeing(seen, R)
         if missing:
-            marked |= met & (seen.range_m == 0.0)
+            marked |= (self._view.hits.triangle >= 0) & (seen.range_m == 0.0)
         if not marked.any():
             return belief
         marks = PixelMarks(marked, 1)

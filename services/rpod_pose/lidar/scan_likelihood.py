@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.ray_tree import Waiting, first_hit, in_target, no_nodes
 from rpod_geometry.rays import GridArrays, RenderBuffers
-from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
+from rpod_pose.lidar.returns.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG, Detection
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray

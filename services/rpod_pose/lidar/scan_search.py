@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rpod_pose.belief import Belief
 from rpod_pose.lidar.posterior.sampled_posterior import SampledPosterior
-from rpod_pose.lidar.return_distances import ReturnDistances
+from rpod_pose.lidar.returns.distances import ReturnDistances
 from rpod_pose.lidar.scan_alignment import FaceProblem, ScanErrors
 from rpod_pose.lidar.scan_fit import ScanFit, ScanModel
 from rpod_pose.lidar.scan_registration import (

@@ -73,6 +73,13 @@ class SeenScan:
         image.flat[self.rays[~near & (self.rays >= 0)]] = 0.0
         return SeenScan(self.points_m[near], self.rays[near], image, self.grid)
 
+    def without(self, places: NDArray[np.intp]) -> "SeenScan":
+        """Return the scan in which the rays at given rows and columns, shape (N, 2), are unknown."""
+        image = self.range_m.copy()
+        image[tuple(places.T)] = -1.0
+        kept = (self.rays < 0) | (image.flat[self.rays] >= 0.0)
+        return SeenScan(self.points_m[kept], self.rays[kept], image, self.grid)
+
     def first(self, stride: int) -> tuple[int, int]:
         """Return the row and the column at which ``every`` begins: 0, 0 unless it would have few returns.
 

@@ -85,6 +85,21 @@ def test_the_range_of_a_scan_follows_from_the_wanted_returns(wanted):
     assert np.allclose(pose.apply(middle_m(cached_target("envisat-bulky")))[:2], 0.0)
 
 
+def test_false_returns_are_none_of_the_wanted_ones():
+    config, attitude = (
+        window_of("mockup").config(),
+        Rotation.from_euler("xyz", (20.0, 30.0, 40.0), degrees=True),
+    )
+    clean, stray = (
+        scan_with_returns(
+            emulator_of("mockup", config, 7, world=world), "mockup", attitude, returns=15.0, trial=0
+        )
+        for world in ("documented", "stray-light")
+    )
+    assert stray[0].translation[2] == pytest.approx(clean[0].translation[2], rel=0.15)
+    assert len(stray[1].returns_m) > len(clean[1].returns_m)
+
+
 @pytest.mark.parametrize("filled", [(0.3, 0.3), (0.7, 0.7)])
 def test_a_target_fills_the_wanted_share_of_the_image(filled):
     target, camera = cached_target("mockup"), camera_of(SCENARIOS["mockup-tumbling"])

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, kernel
-from rpod_pose.lidar.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
 from rpod_pose.lidar.outline.places import Places, on_plane, places
 from rpod_pose.lidar.posterior.step_posterior import Steps
+from rpod_pose.lidar.returns.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
 from rpod_pose.lidar.scan_likelihood import PEAK, STEEPEST, Assumptions, Rays
 from rpod_pose.registration.lie_group import PoseArrays, in_target
 from rpod_schemas.arrays import FloatArray

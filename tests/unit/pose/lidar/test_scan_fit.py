@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 from rpod_geometry.rays import cast
-from rpod_pose.lidar.detection import HALVES, RUNGS, STEEPNESS, detection, expected_shares
+from rpod_pose.lidar.returns.detection import HALVES, RUNGS, STEEPNESS, detection, expected_shares
 from rpod_pose.lidar.scan_fit import UNKNOWN_SIGMA_M, ScanModel
 from rpod_pose.lidar.scan_likelihood import HIT_MEAN, HIT_VARIANCE, PEAK, STEEPEST
 from rpod_pose.lidar.scan_view import ScanView, SeenScan

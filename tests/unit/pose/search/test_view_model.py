@@ -8,7 +8,7 @@ from lidar_scans import BULKY, load, random_pose, scan_at, scan_of, tracker
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_pose.lidar.return_distances import ReturnDistances
+from rpod_pose.lidar.returns.distances import ReturnDistances
 from rpod_pose.search.attitude_grid import even_directions, super_fibonacci
 from rpod_pose.search.energy import CELLS, NOTHING_IN_VIEW, energies
 from rpod_pose.search.view_model import AREA, VIEWS, ViewModel, centroids_in_view, spread, view_of
