@@ -253,7 +253,7 @@ def stream_run(
     if not found.estimates.count and not found.statuses.count:
         raise NoEstimatesError(log.paths[0], prefix)
     if len(found.parents) > 1:
-        raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
+        raise FramesDifferError(log.paths[0], found.parents)
     return StreamedRun(found, _alike(log))
 
 
