@@ -58,7 +58,7 @@ class EmulatorConfig(ServiceConfig):
     def _are_of_sensors(cls, faults: tuple[PlannedFault, ...]) -> tuple[PlannedFault, ...]:
         for fault in faults:
             if not fault.kind.of_sensor:
-                raise ValueError(f"{fault.fault} is no fault of a sensor")
+                raise ValueError(f"{fault.fault} is no fault of a sensor; plan it in a scenario instead")
         return faults
 
 

@@ -164,7 +164,8 @@ def _truth(log: Log) -> Track:
         raise NoTruthError(log.paths[0].name, TRUTH.name)
     if foreign := {entry.frame_id for entry in odometry} - {CHASER}:
         raise CalibrationError(
-            f"{log.paths[0].name}: the truth is in frame {foreign.pop()!r}, not {CHASER!r}"
+            f"{log.paths[0].name}: the truth is in frame {min(foreign)!r}, not in {CHASER!r}: let its "
+            f"publisher send the target's pose in {CHASER!r}"
         )
     poses = RigidTransform.concatenate([entry.pose for entry in odometry])
     return Track(np.array([entry.stamp_ns for entry in odometry], np.int64), poses)
