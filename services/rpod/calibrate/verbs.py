@@ -57,7 +57,8 @@ def depth(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", help="Estimator with the target and the camera's mount; by default those in the log."
+            "--config",
+            help="Estimator with the target, the camera's mount and frequency; by default those in the log.",
         ),
     ] = None,
     check: Annotated[

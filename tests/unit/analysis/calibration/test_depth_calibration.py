@@ -171,6 +171,12 @@ def test_a_configuration_gives_the_target_and_the_mount_that_a_log_lacks(tmp_pat
     assert shorter_m == pytest.approx(0.1, abs=0.02)
 
 
+def test_a_configuration_gives_the_frequency_that_a_log_lacks(tmp_path):
+    log = write(tmp_path / "bare.mcap", inwards, seed=3, duration_s=0.2, info=None)
+    config = EstimatorConfig(target="mockup", sensors=(PmdInput(modulation_frequency_hz=(HERTZ,)),))
+    assert samples_of(log, config=config).modulation_frequency_hz == (HERTZ,)
+
+
 @pytest.mark.parametrize("truth_rate_hz", [10.0, 100.0])
 def test_the_truth_may_come_at_any_rate(tmp_path, truth_rate_hz):
     path = write(tmp_path / "slow.mcap", waiting, seed=3, duration_s=1.0, truth_rate_hz=truth_rate_hz)
