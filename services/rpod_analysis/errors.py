@@ -1,6 +1,6 @@
 """Errors of this package. Each text is one line and contains the remedy where there is one."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rpod_schemas.errors import RpodError
@@ -22,7 +22,7 @@ class NotMcapError(AnalysisError):
     """The file is not an MCAP log."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path}: is not an MCAP log")
+        super().__init__(f"{path}: is not an MCAP log; give the .mcap file of a run, or its folder")
 
 
 class NothingRecoveredError(AnalysisError):
@@ -133,12 +133,16 @@ class NothingToPlayError(AnalysisError):
 
 
 class FramesDifferError(AnalysisError):
-    """Truth and estimate are given in different frames of reference."""
+    """Truth and estimates are given in different frames of reference.
 
-    def __init__(self, path: Path, truth: str, estimate: str) -> None:
-        super().__init__(
-            f"{path}: the truth is in frame {truth!r}, the estimate in {estimate!r}; both must be the same"
-        )
+    Args:
+        path: the log.
+        topics: a topic with poses in each frame of reference, by the frame.
+    """
+
+    def __init__(self, path: Path, topics: Mapping[str, str]) -> None:
+        told = ", ".join(f"{topic} in frame {frame_id!r}" for frame_id, topic in topics.items())
+        super().__init__(f"{path}: {told}; both must be in one frame: correct header.frame_id of a publisher")
 
 
 class CalibrationError(AnalysisError):

@@ -4,11 +4,9 @@ from rpod_driver.errors import DriverError, StoppedError
 from rpod_driver.host import main, run
 from rpod_driver.ports import (
     Adjustable,
-    CameraDriver,
     Counted,
     Driver,
     Drops,
-    LidarDriver,
     Paced,
     Stoppable,
     Synchronised,
@@ -17,12 +15,10 @@ from rpod_driver.ports import (
 
 __all__ = [
     "Adjustable",
-    "CameraDriver",
     "Counted",
     "Driver",
     "DriverError",
     "Drops",
-    "LidarDriver",
     "Paced",
     "Stoppable",
     "StoppedError",

@@ -5,14 +5,14 @@ from threading import Event
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from rpod_schemas.config.driver import Setting
-from rpod_schemas.types import LidarInfo, LidarScan, PmdFrame, PmdInfo, SensorFrame, SensorSync
+from rpod_schemas.types import SensorFrame, SensorSync
 
 
 class Driver(Protocol):
     """A sensor of any kind; it returns values of the kind's types."""
 
     def connect(self) -> Any:
-        """Open the device; return its info, or None if that is unknown.
+        """Open the device; return its info, such as ``PmdInfo`` or ``LidarInfo``, or None if that is unknown.
 
         It either succeeds or leaves nothing open. The host reports an error and repeats the call later.
         """
@@ -118,28 +118,4 @@ class Paced(Protocol):
         Return only what is certain, and a time that has passed if the next frame is not known to be later: a
         frame that does not come after this time is a fault.
         """
-        ...
-
-
-class CameraDriver(Driver, Protocol):
-    """A PMD camera."""
-
-    def connect(self) -> PmdInfo | None:
-        """See ``Driver.connect``."""
-        ...
-
-    def frames(self) -> Iterator[PmdFrame | None]:
-        """See ``Driver.frames``."""
-        ...
-
-
-class LidarDriver(Driver, Protocol):
-    """A LIDAR, whose scans are stamped with their middle."""
-
-    def connect(self) -> LidarInfo | None:
-        """See ``Driver.connect``."""
-        ...
-
-    def frames(self) -> Iterator[LidarScan | None]:
-        """See ``Driver.frames``."""
         ...

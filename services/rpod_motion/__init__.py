@@ -2,7 +2,6 @@
 
 from rpod_motion.errors import MotionError
 from rpod_motion.motion import MARGIN_S, Motion, MotionState, build_motion
-from rpod_motion.safety_ellipse import safety_ellipse_positions
 
 __all__ = [
     "MARGIN_S",
@@ -10,5 +9,4 @@ __all__ = [
     "MotionError",
     "MotionState",
     "build_motion",
-    "safety_ellipse_positions",
 ]

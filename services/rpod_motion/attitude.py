@@ -32,9 +32,10 @@ class FixedAttitude:
     """An attitude that is constant relative to the chaser."""
 
     R_chaser_target: FloatArray
+    """The attitude, shape (3, 3)."""
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
-        """Return R_chaser_target and the relative rate, zero."""
+        """See ``TargetAttitude.relative``; the rate is zero."""
         return self.R_chaser_target, np.zeros(3)
 
 
@@ -43,13 +44,13 @@ class Spin:
     """A constant rate about an axis fixed in the target and in inertial space."""
 
     R_epoch_target: FloatArray
-    """Attitude at the epoch."""
+    """Attitude at the epoch, shape (3, 3)."""
     axis: FloatArray
-    """Unit vector, target axes."""
+    """Unit vector, target axes, shape (3,)."""
     rate_rad_s: float
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:
-        """Return R_chaser_target and the relative rate, target axes."""
+        """See ``TargetAttitude.relative``."""
         turn = rotation_about(self.axis, self.rate_rad_s * time_s)
         return _seen_from(chaser, self.R_epoch_target @ turn, self.rate_rad_s * self.axis)
 
@@ -59,13 +60,14 @@ class Sway:
     """Sines of roll, pitch and yaw about an attitude relative to the chaser."""
 
     R_chaser_middle: FloatArray
+    """Attitude about which the target sways, shape (3, 3)."""
     amplitude_rad: FloatArray
-    """One value each for roll, pitch and yaw, shape (3,)."""
+    """Amplitudes of roll, pitch and yaw, shape (3,)."""
     period_s: FloatArray
-    """One value each for roll, pitch and yaw, shape (3,)."""
+    """Periods of roll, pitch and yaw, shape (3,)."""
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
-        """Return R_chaser_target and the relative rate, target axes."""
+        """See ``TargetAttitude.relative``."""
         phase = 2.0 * np.pi * time_s / self.period_s
         a, b, c = (self.amplitude_rad * np.sin(phase)).tolist()
         da, db, dc = (self.amplitude_rad * np.cos(phase) * 2.0 * np.pi / self.period_s).tolist()
@@ -90,16 +92,16 @@ class Tumble:
     """
 
     inertia_inverse: FloatArray
-    """J^-1, 1 / (kg m2), target axes."""
+    """J^-1, 1 / (kg m2), target axes, shape (3, 3)."""
     momentum_E: FloatArray
-    """H, kg m2/s, epoch axes."""
+    """H, kg m2/s, epoch axes, shape (3,)."""
     before: Callable[[float], FloatArray]
-    """Quaternion of R_epoch_target, not normalised, over the times before the epoch."""
+    """Quaternion of R_epoch_target, not normalised, shape (4,), over the times before the epoch."""
     after: Callable[[float], FloatArray]
     """The same from the epoch on."""
 
     def relative(self, time_s: float, chaser: TrajectoryState) -> tuple[FloatArray, FloatArray]:
-        """Return R_chaser_target and the relative rate, target axes."""
+        """See ``TargetAttitude.relative``."""
         quaternion = self.after(time_s) if time_s >= 0.0 else self.before(time_s)
         R_epoch_target = _matrix(quaternion)
         return _seen_from(chaser, R_epoch_target, self.inertia_inverse @ (R_epoch_target.T @ self.momentum_E))

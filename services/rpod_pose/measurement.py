@@ -12,12 +12,15 @@ class Measurement:
     """One frame of one sensor with its mount."""
 
     sensor: str
+    """Name of the sensor."""
     data: SensorFrame
+    """The frame, in sensor axes."""
     T_chaser_sensor: RigidTransform
+    """Mount of the sensor."""
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the middle of the exposure or scan."""
+        """Stamp of the middle of the exposure or scan, ns of UTC."""
         return self.data.stamp_ns
 
 

@@ -91,12 +91,13 @@ def ray_tree(triangles_m: FloatArray) -> RayTree:
 
 
 class _Nodes(NamedTuple):
-    """A tree of boxes without its triangles."""
+    """A tree of boxes without its triangles; the first three fields are those of ``RayTree``."""
 
     boxes_m: Float32Array
     first: NDArray[np.int32]
     held: NDArray[np.int32]
     order: NDArray[np.int32]
+    """Indices of the triangles in the order of the tree, shape (T,)."""
 
 
 class _Split(NamedTuple):

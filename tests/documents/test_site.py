@@ -19,16 +19,31 @@ class Example(Config):
     """A sentence."""
 
 
-def test_every_configuration_field_has_a_type_a_sentence_and_a_row(tmp_path):
-    configuration.write(tmp_path)
-    pages = {file.name: file.read_text("utf-8") for file in tmp_path.glob("*.md")}
-    rows = [line for text in pages.values() for line in text.splitlines() if line.startswith("| `")]
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """Text of each page of the configuration reference, by the name of its file."""
+    folder = tmp_path_factory.mktemp("reference")
+    configuration.write(folder)
+    return {file.name: file.read_text("utf-8") for file in folder.glob("*.md")}
+
+
+def test_every_configuration_field_has_a_type_a_sentence_and_a_row(reference):
+    rows = [line for text in reference.values() for line in text.splitlines() if line.startswith("| `")]
     fields = [name for model in configuration.models() for name in model.model_fields]
     assert len(rows) == len(fields) > 0
     configured = [model for model in configuration.models() if ".config." in model.__module__]
     assert [
         (model, name) for model in configured for name in model.model_fields if not _meaning(model, name)
     ] == []
+
+
+def test_the_reference_calls_required_what_a_scenario_must_have(reference):
+    rows = [row.split(" | ") for row in reference["scenario.md"].splitlines()]
+    defaults = {row[0].removeprefix("| "): row[2] for row in rows if len(row) > 2}
+    assert {name for name, default in defaults.items() if default == "required"} == {
+        "`name`", "`title`", "`target`", "`duration_s`", "`motion`", "`sensors`"
+    }  # fmt: skip
+    assert [row[2] for row in rows if row[0] == "| `sensors`"] == ["see meaning", "required"]
 
 
 def _meaning(model, name):

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import get_type_hints
 
+from annotated_types import MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -109,11 +110,10 @@ def _provenance(annotation: object) -> str:
 
 
 def _row(name: str, field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
-    default = "required" if field.is_required() else default_text(_default(field), where)
     cells = (
         f"`{name}`",
         type_text(field.rebuild_annotation(), where),
-        default,
+        _default_cell(field, where),
         bounds(field),
         meaning(name, field),
     )
@@ -125,6 +125,15 @@ def meaning(name: str, field: FieldInfo) -> str:
     if field.description:
         return " ".join(field.description.split())
     return "Selects this model where several may stand." if name == "kind" else ""
+
+
+def _default_cell(field: FieldInfo, where: dict[type[BaseModel], str]) -> str:
+    """Return a field's default; its sentence explains an empty list that a file itself may not have."""
+    if field.is_required():
+        return "required"
+    value = _default(field)
+    needs_items = any(isinstance(rule, MinLen) and rule.min_length > 0 for rule in field.metadata)
+    return "see meaning" if needs_items and value == () else default_text(value, where)
 
 
 def _default(field: FieldInfo) -> object:

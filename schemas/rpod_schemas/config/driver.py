@@ -59,5 +59,8 @@ class DriverConfig(ServiceConfig):
     @model_validator(mode="after")
     def _waits_are_in_order(self) -> Self:
         if self.max_retry_s < self.retry_s:
-            raise ValueError(f"max_retry_s is {self.max_retry_s:g}, shorter than retry_s, {self.retry_s:g}")
+            raise ValueError(
+                f"max_retry_s is {self.max_retry_s:g}, shorter than retry_s, {self.retry_s:g}: raise it, or "
+                "lower retry_s"
+            )
         return self

@@ -6,7 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from rpod_schemas.config.base import Config, Name, NonNegative, Positive
 from rpod_schemas.config.motion import TRUTH_RATE_HZ, JointMotionConfig, MotionConfig, TruthErrorConfig
-from rpod_schemas.config.sensor import EmulatedSensor
+from rpod_schemas.config.sensor import DISTINCT, EmulatedSensor
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault
@@ -30,7 +30,7 @@ class EmulatorConfig(ServiceConfig):
     """Name on the bus."""
     target: str
     """Name or file of the target."""
-    sensors: tuple[SensorConfig, ...] = Field(min_length=1)
+    sensors: Annotated[tuple[SensorConfig, ...], DISTINCT] = Field(min_length=1)
     """Sensors to emulate."""
     joints: dict[str, JointMotionConfig] = Field(default_factory=dict)
     """Motion of the target's joints, by name, as the motion service has it."""
@@ -58,7 +58,7 @@ class EmulatorConfig(ServiceConfig):
     def _are_of_sensors(cls, faults: tuple[PlannedFault, ...]) -> tuple[PlannedFault, ...]:
         for fault in faults:
             if not fault.kind.of_sensor:
-                raise ValueError(f"{fault.fault} is no fault of a sensor")
+                raise ValueError(f"{fault.fault} is no fault of a sensor; plan it in a scenario instead")
         return faults
 
 
@@ -104,7 +104,7 @@ class MotionServiceConfig(ServiceConfig):
     """Whether to begin only on the ``start`` query."""
     speed: Literal["1", "max"] = "1"
     """Pace of time: 1 follows the wall clock, max is lockstep with the other services."""
-    sensors: tuple[SensorConfig, ...] = ()
+    sensors: Annotated[tuple[SensorConfig, ...], DISTINCT] = ()
     """Sensors for whose frames lockstep waits."""
     lockstep: LockstepConfig = LockstepConfig()
     """Services for which lockstep waits."""

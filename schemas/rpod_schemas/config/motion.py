@@ -23,7 +23,7 @@ TRUTH_RATE_HZ = 250.0
 
 def _with_direction(vector: FloatArray) -> FloatArray:
     if not vector.any():
-        raise ValueError("is the zero vector, which has no direction")
+        raise ValueError("is the zero vector, which has no direction; give one of any length above 0")
     return vector
 
 

@@ -1,14 +1,16 @@
 """A scenario: everything that a run needs, in one YAML or TOML file."""
 
-from typing import Any, Self
+from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rpod_schemas.config.base import Config, Name, Positive
 from rpod_schemas.config.emulator import SensorConfig, WorldName
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.estimator.estimator import HeardSensor
 from rpod_schemas.config.facility.link import Link, LinkConfig
 from rpod_schemas.config.motion import TRUTH_RATE_HZ, MotionConfig, TruthErrorConfig
+from rpod_schemas.config.sensor import DISTINCT
 from rpod_schemas.config.surroundings import Thing
 from rpod_schemas.faults import PlannedFault
 
@@ -28,6 +30,9 @@ _MAY_FAIL = {
 class ScenarioEstimator(EstimatorSettings):
     """The estimator of a scenario."""
 
+    sensors: Annotated[tuple[HeardSensor, ...], DISTINCT] = Field(default_factory=tuple, min_length=1)
+    """Sensors that the estimator uses, each with its ``kind`` and its name in the scenario. If left out, it
+    uses all of the scenario's, each with the default configuration of its kind."""
     target: str | None = None
     """Name or file of the target that the estimator looks for: its model of the real one, which may differ.
     Both share their axes. If left out, the model is the scenario's own target."""
@@ -53,7 +58,7 @@ class Scenario(Config):
     truth_error: TruthErrorConfig | None = None
     """Errors of the published truth, as of robots or motion capture, with their covariance; exact if left
     out. The sensors see the exact motion."""
-    sensors: tuple[SensorConfig, ...] = Field(min_length=1)
+    sensors: Annotated[tuple[SensorConfig, ...], DISTINCT] = Field(min_length=1)
     """Sensors to emulate."""
     world: WorldName = "documented"
     """Variant of the emulated sensors' physics; the estimator does not know it."""
@@ -66,9 +71,8 @@ class Scenario(Config):
     the catalogue; the estimator does not know of them."""
     link: Link = LinkConfig()
     """Tuning of all links to the router: ``fast``, ``slow``, or field by field."""
-    estimator: ScenarioEstimator
-    """Sensors, navigator and filter of the estimator, and the target that it looks for. If it names no
-    sensors, it listens to all, each with the default configuration of its kind."""
+    estimator: ScenarioEstimator = Field(default_factory=ScenarioEstimator, validate_default=True)
+    """Sensors, navigator and filter of the estimator, and the target that it looks for."""
 
     @model_validator(mode="after")
     def _rates_divide_that_of_the_truth(self) -> Self:
@@ -80,25 +84,20 @@ class Scenario(Config):
         """Name or file of the target that the estimator looks for."""
         return self.estimator.target or self.target
 
-    @model_validator(mode="before")
+    @field_validator("estimator")
     @classmethod
-    def _estimator_hears_all(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not isinstance(data.get("sensors"), list | tuple):
-            return data
-        estimator = data.get("estimator", {})
-        if not isinstance(estimator, dict) or "sensors" in estimator:
-            return data
-        emulated = (each for each in data["sensors"] if isinstance(each, dict))
-        heard = [{key: each[key] for key in ("kind", "name") if key in each} for each in emulated]
-        return {**data, "estimator": {**estimator, "sensors": heard}}
+    def _uses_all_if_it_names_none(
+        cls, estimator: ScenarioEstimator, info: ValidationInfo
+    ) -> ScenarioEstimator:
+        if estimator.sensors or "sensors" not in info.data:  # where they are wrong, that is reported
+            return estimator
+        given = {name: getattr(estimator, name) for name in estimator.model_fields_set}
+        heard = [{"kind": sensor.kind, "name": sensor.name} for sensor in info.data["sensors"]]
+        return ScenarioEstimator.model_validate({**given, "sensors": heard})
 
     @model_validator(mode="after")
     def _estimator_hears_the_sensors(self) -> Self:
         emulated = {(sensor.kind, sensor.name) for sensor in self.sensors}
-        if len({name for _, name in emulated}) < len(self.sensors):
-            names = [sensor.name for sensor in self.sensors]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"sensors: two have the name {twice!r}; give each a 'name' of its own")
         for fault in self.faults:
             if fault.sensor not in {None, *(name for _, name in emulated)}:
                 raise ValueError(

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -129,6 +129,20 @@ class SensorInput(Kinded):
     def informed_by(self, emulated: EmulatedSensor) -> Self:  # noqa: ARG002 - what a kind may want to know
         """Return this input with the data that the sensor will publish of itself."""
         return self
+
+
+SensorT = TypeVar("SensorT", bound=EmulatedSensor | SensorInput)
+
+
+def _distinct(sensors: tuple[SensorT, ...]) -> tuple[SensorT, ...]:
+    names = [sensor.name for sensor in sensors]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"two have the name {twice[0]!r}; give each a 'name' of its own")
+    return sensors
+
+
+DISTINCT = AfterValidator(_distinct)
+"""Annotation of sensors of which no two may have the same name, since it begins their topics."""
 
 
 class MethodConfig(Kinded):

@@ -60,6 +60,7 @@ class Hypothesis(Model):
     pose: Pose
     """T_chaser_target."""
     weight: Annotated[float, Field(ge=0, le=1)]
+    """Probability, relative to the other hypotheses."""
     name: str = ""
     """Difference from the first: "symmetry of the target", "turned by 180 deg"; empty for the first."""
     log_likelihood: float = float("nan")
@@ -70,19 +71,28 @@ class EstimatorStatus(Stamped):
     """Result of the estimator for one frame (EstimatorStatus.msg)."""
 
     mode: Mode
+    """State of the navigator after the frame."""
     source: Source = Source.NONE
+    """Method that measured the pose; NONE if there is no measured pose."""
     sensor: Text = ""
+    """Name of the frame's sensor; empty for a prediction without a frame."""
     accepted: bool = False
+    """Whether the measurement was accepted."""
     reason: Text = ""
     """Reason for which the measurement was rejected; empty if it was accepted."""
     cost_m2: float = float("nan")
     """Mean squared residual f_CONV, m2."""
     nis: float = float("nan")
+    """Normalised innovation squared, six degrees of freedom, less those that a free axis takes away; NaN if
+    the pose was not compared with a prediction."""
     inliers: Annotated[int, Field(ge=0)] = 0
+    """Number of points that fit the model within their noise."""
     inlier_share: float = float("nan")
+    """Number of inliers divided by the number of points that could have matched; NaN if unknown."""
     processing_s: float = float("nan")
     """Time from the arrival of the frame's last part to publication, s."""
     ambiguous: bool = False
+    """Whether there are several hypotheses."""
     hypotheses: tuple[Hypothesis, ...] = ()
     """Hypotheses, best first; their weights sum to 1."""
     belief: BeliefLevel = BeliefLevel.ACCEPTED

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -12,18 +11,16 @@ from rpod.errors import failed
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.calibration.background import learned_backgrounds
 from rpod_pose.surroundings.known import KnownSurroundingsError
-from rpod_runtime.process.lifecycle import EXIT_OK, EXIT_USAGE
+from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.topics import TRUTH
 
 
-def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool) -> int:
+def background_command(path: Path, *, out: Path | None, as_json: bool) -> int:
     """Learn what each sensor of a log sees without the target; return the exit code."""
-    if len(logs) != 1:
-        return failed("calibrate background", f"{len(logs)} logs are given; give one", EXIT_USAGE)
     out = out or Path("surroundings.yaml")
     sensors, found = {}, {}
     try:
-        with open_log(logs[0]) as log:
+        with open_log(path) as log:
             learned = learned_backgrounds(log)
             for name, background in learned.backgrounds.items():
                 file = out.with_name(f"{out.stem}-{name}.npz")
@@ -36,7 +33,7 @@ def background_command(logs: Sequence[Path], *, out: Path | None, as_json: bool)
                 print(f"rpod calibrate background: {name!r} has no background: {reason}", file=sys.stderr)
             if next(iter(log.odometry(TRUTH)), None) is not None:
                 print(
-                    f"rpod calibrate background: {logs[0].name}: the log has truth; a target in view "
+                    f"rpod calibrate background: {path.name}: the log has truth; a target in view "
                     "that stands still becomes part of the background: log without the target",
                     file=sys.stderr,
                 )

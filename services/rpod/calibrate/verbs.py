@@ -57,7 +57,8 @@ def depth(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", help="Estimator with the target and the camera's mount; by default those in the log."
+            "--config",
+            help="Estimator with the target, the camera's mount and frequency; by default those in the log.",
         ),
     ] = None,
     check: Annotated[
@@ -80,7 +81,7 @@ def depth(
 
 @calibrate_verbs.command()
 def background(
-    logs: Annotated[list[Path], typer.Argument(help="MCAP file of frames without the target.")],
+    log: Annotated[Path, typer.Argument(help="MCAP file, or folder, of frames without the target.")],
     out: OutOption = None,
     as_json: JsonOption = False,
     _no_limits: NoLimits = False,
@@ -88,7 +89,7 @@ def background(
     """Learn what each sensor sees without the target. It writes surroundings.yaml."""
     from rpod.calibrate.background import background_command
 
-    raise typer.Exit(background_command(logs, out=out, as_json=as_json))
+    raise typer.Exit(background_command(log, out=out, as_json=as_json))
 
 
 def _add_hand_eye(verb: Literal["mount", "clock"], does: str) -> None:

@@ -99,7 +99,7 @@ def _parameters(model: "type[Options]") -> dict[str, tuple[Any, Any]]:
 
 def _option(name: str, field: Any) -> Any:
     default = field.get_default(call_default_factory=True)
-    shown = "" if default is None else f"  [default: {_shown(default)}]"
+    shown = "" if default is None or default == () else f"  [default: {_shown(default)}]"
     return typer.Option(
         f"--{name.replace('_', '-')}", help=f"{field.description}{shown}", metavar=_metavar(field.annotation)
     )

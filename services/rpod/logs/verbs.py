@@ -55,9 +55,9 @@ def replay(
         bool, typer.Option("--bus", help="Play onto the bus instead of through the estimator.")
     ] = False,
     connect: Annotated[
-        str | None, typer.Option("--connect", help="Endpoint of the router, with --bus.")
+        str | None, typer.Option("--connect", help="Endpoint of the router; it implies --bus.")
     ] = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for the router; it implies --bus.")] = False,
     start: Annotated[float, typer.Option("--from", help="First second of the log to replay.")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="Last second of the log to replay.")] = None,
     speed: Annotated[

@@ -23,8 +23,9 @@ from rpod_analysis.scoring.score import BoolArray, Track, calibration_gap_ns, in
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import Hits, RayGrid, cast
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.config.pmd.depth_calibration import unambiguous_range_m
+from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.topics import CHASER, TRUTH
 from rpod_schemas.types import Camera, PmdFrame
 from rpod_target import Target, TargetError, load_target
@@ -70,7 +71,7 @@ def collect(logs: list[Log], camera: str, config: EstimatorConfig | None = None)
         logs: logs with frames of the camera and the truth.
         camera: name of the camera.
         config: configuration of an estimator, whose target and mount of the camera go before those of the
-            logs.
+            logs; its frequency counts where a log has no info of the camera.
 
     Raises:
         CalibrationError: a log lacks the camera, its mount, its frequency, the target or the truth; or two
@@ -95,15 +96,15 @@ def collect(logs: list[Log], camera: str, config: EstimatorConfig | None = None)
 def _of_log(log: Log, camera: str, config: EstimatorConfig | None) -> DepthSamples:
     name = log.paths[0].name
     sensor, truth = pmd_camera(log, camera, option="--camera", otherwise=_OF_LIDAR), _truth(log)
-    heard = config.sensors if config else ()
-    given = [item.T_chaser_sensor for item in heard if item.name == camera]
-    mount = next((pose for pose in (*given, sensor.T_chaser_sensor) if pose is not None), None)
+    given = next((item for item in (config.sensors if config else ()) if item.name == camera), None)
+    mount = given.T_chaser_sensor if given is not None else None
+    mount = sensor.T_chaser_sensor if mount is None else mount
     if mount is None:
         raise CalibrationError(
             f"{name}: neither tf_static nor the configuration in the log gives the mount of {camera!r}; let "
             "its driver publish tf_static, or give an estimator's configuration with --config"
         )
-    frequencies_hz = _frequencies(log, camera)
+    frequencies_hz = _frequencies(log, camera, given)
     target = _target(log, config.target if config else logged_targets(log).shown)
     reference = _Reference(target, mount, truth, frequencies_hz)
     try:
@@ -127,17 +128,20 @@ def _of_log(log: Log, camera: str, config: EstimatorConfig | None) -> DepthSampl
     )
 
 
-def _frequencies(log: Log, camera: str) -> tuple[float, ...]:
+def _frequencies(log: Log, camera: str, given: SensorInput | None) -> tuple[float, ...]:
     info = pmd_info(log, camera)
     if info is not None and info.modulation_frequency_hz.size:
         return tuple(info.modulation_frequency_hz.tolist())
+    if isinstance(given, PmdInput) and given.modulation_frequency_hz:
+        return given.modulation_frequency_hz
     for entry in _configured_sensors(log, camera):
         field = "dual_frequencies_hz" if entry.get("profile") == "dual" else "modulation_frequency_hz"
         if value := entry.get(field):
             return tuple(np.atleast_1d(value).tolist())
     raise CalibrationError(
         f"{log.paths[0].name}: neither {camera}/info nor the configuration gives modulation_frequency_hz; "
-        "let the camera's driver publish its info"
+        "let the camera's driver publish its info, or set it for the camera in an estimator's configuration "
+        "and give that with --config"
     )
 
 
@@ -164,7 +168,8 @@ def _truth(log: Log) -> Track:
         raise NoTruthError(log.paths[0].name, TRUTH.name)
     if foreign := {entry.frame_id for entry in odometry} - {CHASER}:
         raise CalibrationError(
-            f"{log.paths[0].name}: the truth is in frame {foreign.pop()!r}, not {CHASER!r}"
+            f"{log.paths[0].name}: the truth is in frame {min(foreign)!r}, not in {CHASER!r}: let its "
+            f"publisher send the target's pose in {CHASER!r}"
         )
     poses = RigidTransform.concatenate([entry.pose for entry in odometry])
     return Track(np.array([entry.stamp_ns for entry in odometry], np.int64), poses)

@@ -21,17 +21,20 @@ _MOST_ALERTS = 100
 
 @dataclass(frozen=True, eq=False)
 class Integrities:
-    """Integrity of N results as the estimator stated it, in the order of their stamps."""
+    """Integrity of N results as the estimator stated it, in the order of their stamps, shape (N,)."""
 
     stamp_ns: IntArray
+    """Stamps, ns of UTC."""
     time_s: FloatArray
     """Stamps as seconds from the start of the run."""
     state: IntArray
+    """Values of ``IntegrityState``."""
     levels: FloatArray
     """Protection levels of attitude, deg, and position, m, shape (N, 2); NaN without an estimate."""
     limits: FloatArray
     """Alert limits of the same, shape (N, 2)."""
     reasons: tuple[str, ...]
+    """Reason of each state; empty for nominal."""
 
     @classmethod
     def of(cls, rows: list[Row], start_ns: int) -> "Integrities":

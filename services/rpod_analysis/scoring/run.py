@@ -32,17 +32,24 @@ DEFAULT_PREFIX = STATUS.name.split("/")[0]
 
 @dataclass(frozen=True, eq=False)
 class Statuses:
-    """The estimator's status of N frames, in the order of their stamps."""
+    """The estimator's status of N frames, in the order of their stamps; each array has the shape (N,)."""
 
     stamp_ns: IntArray
+    """Stamps of the frames, ns of UTC."""
     mode: IntArray
+    """Values of ``Mode``."""
     source: IntArray
+    """Values of ``Source``."""
     accepted: BoolArray
+    """Whether the measurement was accepted."""
     nis: FloatArray
     """Normalised innovation squared, with the degrees of freedom of the NEES; NaN without a comparison."""
     processing_s: FloatArray
+    """Time from the arrival of the frame's last part to publication, s; NaN if unknown."""
     sensor: NDArray[np.str_]
+    """Name of the frame's sensor; empty for a prediction without a frame."""
     reason: NDArray[np.str_]
+    """Reason for which the measurement was rejected; empty if it was accepted."""
     lost_before: BoolArray
     """Whether the track was lost between the status before and this one."""
 
@@ -55,7 +62,9 @@ class SensorFrames:
     """Stamps and times of arrival of a sensor's frames, each shape (N,)."""
 
     stamp_ns: IntArray
+    """Stamps, ns of UTC."""
     log_ns: IntArray
+    """Arrival at the logger, ns of UTC."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +76,9 @@ class Run:
     end_ns: int
     """Last stamp of truth and estimator, of the whole run."""
     truth: Track
+    """Samples of the truth."""
     estimates: Track
+    """The N published estimates."""
     covariance: FloatArray
     """Covariance of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
     latency_s: FloatArray
@@ -242,7 +253,7 @@ def stream_run(
     if not found.estimates.count and not found.statuses.count:
         raise NoEstimatesError(log.paths[0], prefix)
     if len(found.parents) > 1:
-        raise FramesDifferError(log.paths[0], *sorted(found.parents)[:2])
+        raise FramesDifferError(log.paths[0], found.parents)
     return StreamedRun(found, _alike(log))
 
 

@@ -48,8 +48,8 @@ class Found:
     """Rows of stamp, state, levels of attitude and position, their alert limits, and reason."""
     frames: RowStore = field(default_factory=RowStore)
     """Rows of stamp, sensor and time of arrival."""
-    parents: set[str] = field(default_factory=set)
-    """Frames of reference of truth and estimates."""
+    parents: dict[str, str] = field(default_factory=dict)
+    """Topic on which each frame of reference of truth and estimates came first, by the frame."""
     account: Account = field(default_factory=Account)
     mounts: dict[str, MountDifference] = field(default_factory=dict)
     """Newest differences between the mounts of two sensors."""
@@ -92,7 +92,7 @@ class Reader:
         if message.pose.covariance.any():
             known = read_odometry(message).pose_covariance.tobytes()
         self.found.truth.add((read_stamp(message.header), pose_numbers(message.pose.pose), known))
-        self._note_parent(message.header.frame_id)
+        self._note_parent(message.header.frame_id, logged.topic)
 
     def _take_estimate(self, logged: Logged) -> None:
         message = logged.decode()
@@ -100,11 +100,11 @@ class Reader:
         pose, covariance = pose_numbers(message.pose.pose), message.pose.covariance.tobytes()
         publish_ns = min(logged.publish_ns, _LATEST_NS)
         self.found.estimates.add((read_stamp(message.header), pose, covariance, publish_ns))
-        self._note_parent(message.header.frame_id)
+        self._note_parent(message.header.frame_id, logged.topic)
 
-    def _note_parent(self, frame_id: str) -> None:
+    def _note_parent(self, frame_id: str, topic: str) -> None:
         if len(self.found.parents) < _MOST_PARENTS:
-            self.found.parents.add(shown(frame_id, _LONGEST))
+            self.found.parents.setdefault(shown(frame_id, _LONGEST), topic)
 
     def _take_status(self, logged: Logged) -> None:
         status = logged.decode()

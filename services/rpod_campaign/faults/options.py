@@ -13,7 +13,7 @@ from rpod_schemas.config.scenario import Scenario
 class Options(CampaignOptions):
     """Faults of the catalogue by kind and size: shares of modes, loss of the track, wrong estimates."""
 
-    title: ClassVar[str] = "Faults by kind and size, and their effect on navigation"
+    title: ClassVar[str] = "Faults by kind and size, and their effects"
 
     trials: Trials = 2
     target: Names = ("mockup",)

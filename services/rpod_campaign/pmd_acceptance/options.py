@@ -33,7 +33,7 @@ CaseName = Literal[
 class Options(PmdOptions):
     """Acceptance of frames of the target and of other objects."""
 
-    title: ClassVar[str] = "Acceptance of frames of the target and of other objects"
+    title: ClassVar[str] = "Acceptance of frames of target and other objects"
 
     trials: Trials = 100
     ranges: Ranges = (2.1, 7.0)

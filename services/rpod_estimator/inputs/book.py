@@ -20,7 +20,7 @@ LEAST_FRAMES = 3
 LOCKSTEP_SILENCE_S = 60.0
 """As ``WINDOW_S``, for silence by the wall clock in lockstep, where one second of the scenario may take many
 seconds. There the time of the bus decides, unless it stands still because the clock waits for a frame."""
-PERIODS = 3.0
+_SILENT_PERIODS = 3.0
 """Number of a sensor's periods after which it is silent, if this is longer than ``WINDOW_S``."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
 """Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
@@ -154,7 +154,7 @@ class SensorBook:
 
     @property
     def _silent_after_s(self) -> float:
-        return max(self._silence_s, PERIODS * median(self._gaps_s or [0.0]))
+        return max(self._silence_s, _SILENT_PERIODS * median(self._gaps_s or [0.0]))
 
     def state(self, now_s: float, bus_s: float | None = None) -> InputState:
         """Return the health: WARN if more than half of the recent frames were not used, ERROR if none was.
@@ -196,7 +196,9 @@ class SensorBook:
         if self._bus_heard_s is None:
             self._bus_heard_s = bus_s  # silence is counted from the first message of the clock
         silent_s = bus_s - self._bus_heard_s
-        return silent_s if silent_s > max(WINDOW_S, PERIODS * median(self._bus_gaps_s or [0.0])) else 0.0
+        return (
+            silent_s if silent_s > max(WINDOW_S, _SILENT_PERIODS * median(self._bus_gaps_s or [0.0])) else 0.0
+        )
 
     def _doubtful(self, now_s: float) -> InputState:
         if self.sync.ptp == "unlocked":

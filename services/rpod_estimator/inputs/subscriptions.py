@@ -311,7 +311,7 @@ class Subscriptions:
         """Return whether a part comes from the publisher of the frames, so that it is as new as its frame.
 
         If sessions are unknown, the part belongs to the publisher with whose frames it was used first, unless
-        it arrived while another publisher sent the frames.
+        it arrived while another publisher sent the frames. This first use is noted here.
         """
         if part.session or leading.session:
             return part.session == leading.session

@@ -19,10 +19,14 @@ class Approach:
     """
 
     start_m: FloatArray
+    """Position of the target's origin at the epoch, chaser axes, shape (3,)."""
     end_m: FloatArray
+    """Position of the target's origin at the end, chaser axes, shape (3,)."""
     duration_s: float
     ramp_share: float
+    """Share of the duration in which the speed rises, and in which it falls; 0 for none, 0.5 at most."""
     anchor_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Point of the target that follows the path, target axes, shape (3,): its origin."""
 
     def state(self, time_s: float) -> TrajectoryState:
         """Return the state at a time from the epoch."""

@@ -26,7 +26,7 @@ class StationKeeping:
     """
 
     anchor_m: FloatArray
-    """The target's centre of mass, target axes."""
+    """The target's centre of mass, target axes, shape (3,)."""
     orbit: RelativeOrbit
     down_L: FloatArray
     """Unit normal of the ellipse, the target's local axes, shape (3,)."""

@@ -23,6 +23,7 @@ class Synchronised:
     attitude: TargetAttitude
     """Attitude of the target; one that turns relative to inertial space."""
     anchor_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Point of the target that follows the path, target axes, shape (3,): its origin."""
 
     def state(self, time_s: float) -> TrajectoryState:
         """Return the state at a time from the epoch."""
@@ -52,7 +53,7 @@ class Slewing:
 
     @property
     def anchor_m(self) -> FloatArray:
-        """Point of the target that follows the path."""
+        """Point of the target that follows the path, target axes, shape (3,)."""
         return self.path.anchor_m
 
     def state(self, time_s: float) -> TrajectoryState:

@@ -111,7 +111,7 @@ class Navigator:
         covariance: FloatArray | None = None,
         stamp_ns: int | None = None,
     ) -> NavigatorState:
-        """Return the first state: searching, or waiting for a frame to verify a given pose."""
+        """Return the first state; arguments as for ``first_state``."""
         return first_state(pose, covariance, stamp_ns)
 
     @overload

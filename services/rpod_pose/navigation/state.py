@@ -21,11 +21,13 @@ from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odom
 
 @dataclass(frozen=True, eq=False)
 class GivenPose:
-    """A pose from outside at which a track starts; without a stamp it applies to the first frame."""
+    """A pose from outside at which a track starts."""
 
     T_chaser_target: RigidTransform
     covariance: FloatArray
+    """Covariance of (dp, dtheta), chaser axes, ICD section 1, shape (6, 6)."""
     stamp_ns: int | None = None
+    """Stamp of the pose, ns of UTC; None for that of the first frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class NavigatorState:
     history: History | None = None
     """The filter's state and its recent past."""
     given: GivenPose | None = None
+    """Pose at which the track starts with the next frame; None for none."""
     rivals: Rivals | None = None
     """Rivals of an ambiguous first pose while they are tracked in parallel."""
     streams: Mapping[str, Stream] = field(default_factory=dict)

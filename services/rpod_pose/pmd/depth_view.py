@@ -87,7 +87,7 @@ class DepthView:
         return np.column_stack((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
 
     def render(self, target: Target, T_sensor_target: RigidTransform) -> FloatArray:
-        """Return the z-depth of the target on the coarse pixels, m; inf on pixels that miss it."""
+        """Return the target's z-depth, m, on the coarse pixels, (rows, columns); inf where they miss it."""
         closed = target.field is not None
         hits = cast(self.coarse, target.triangles_m, T_sensor_target, cull_back_faces=closed)
         depth_m: FloatArray = hits.range_m * self.coarse.components[2]

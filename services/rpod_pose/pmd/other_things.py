@@ -133,7 +133,7 @@ class PmdFrames:
         return frame.whole if isinstance(frame, PartOfFrame) else None
 
     def every_range_m(self, frame: PmdFrame) -> Float32Array:
-        """Return the measured z-depth of each pixel, to which gate and background refer."""
+        """Return each pixel's z-depth, to which gate and background refer, (height, width), 0 for none."""
         return frame.range_image_m
 
 
@@ -173,7 +173,7 @@ class _Unmeasured(NamedTuple):
     number: NDArray[np.int32]
     """Number of each pixel's region, shape (height, width), 0 if it has a range."""
     sizes: NDArray[np.intp]
-    """Number of pixels of each region."""
+    """Number of pixels of each region, by its number, shape (regions,)."""
 
     @classmethod
     def of(cls, measured: NDArray[np.bool_]) -> Self:
@@ -259,7 +259,7 @@ def _unmixed(depth_m: Float32Array, amplitude: Array, sides: "_Sides", sky: floa
 
 
 class _Sides:
-    """Means over the pixels on both sides of the target's outline.
+    """Means over the pixels on both sides of the target's outline, each of shape (height, width).
 
     Args:
         kept: pixels on the target, shape (height, width).

@@ -26,7 +26,7 @@ class Comparison:
     image: Image
     """Squared angles to the nearest return."""
     detection: tuple[float, FloatArray]
-    """Table of the share of rays with a return, as for ``energies``."""
+    """Steps of a table per unit of the echo, and the table: share of rays with a return (``energies``)."""
     truncation_m: float
     """Distance at which costs are truncated, equal to that of the views' field, m."""
     truncated: bool = False

@@ -59,7 +59,7 @@ class Returns(Protocol):
         ...
 
     def downsampled(self, count: int) -> FloatArray:
-        """Return about ``count`` of the points, evenly spread."""
+        """Return about ``count`` of the points, evenly spread, shape (n, 3)."""
         ...
 
 

@@ -65,7 +65,7 @@ class ViewModel:
     few_points: Points
     """The first few of the points, for the comparison of all attitudes."""
     cube: NDArray[np.int32]
-    """Indices of directions, for ``view_of``."""
+    """Indices of directions, for ``view_of``, shape (6, CUBE, CUBE)."""
     centroids_m: FloatArray
     """Centroid of the surface visible from far away in each direction, target axes, shape (VIEWS, 3)."""
     anchors_m: FloatArray

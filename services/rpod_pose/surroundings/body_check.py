@@ -151,8 +151,11 @@ class _Rays(NamedTuple):
     """Some rays of an image, with the range of the body's surface on each."""
 
     row: NDArray[np.intp]
+    """Row of each ray in the image, shape (N,)."""
     column: NDArray[np.intp]
+    """Column of each ray in the image, shape (N,)."""
     rendered_m: Float32Array
+    """Range of the body's surface on each ray, shape (N,)."""
 
     def shifted(
         self, image_m: Float32Array, shifts: NDArray[np.intp]

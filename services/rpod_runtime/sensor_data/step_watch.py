@@ -17,12 +17,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rpod_runtime.sensor_data.drift_watch import CLOCK_SIGMAS
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.messages import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 _MOST = 64
 """Number of the last frames that show how even a sensor is."""
@@ -38,8 +36,6 @@ _SIGMAS = 5.0
 """Deviation of a quantity, in its own standard deviations, beyond which it is not as before."""
 _HALF = 0.5
 """Share of the deviation of stamps, or of the change of an age, up to which arrivals may deviate likewise."""
-_MAD_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 class _Frame(NamedTuple):
@@ -284,7 +280,7 @@ class StepWatch:
         return _Pace(period_s, stamp_s, self._limit_s(arrivals_s - period_s))
 
     def _limit_s(self, deviations_s: FloatArray) -> float:
-        return float(_SIGMAS * _MAD_SIGMA * np.median(np.abs(deviations_s)) + self._declared_s)
+        return float(_SIGMAS * MAD_TO_SIGMA * np.median(np.abs(deviations_s)) + self._declared_s)
 
     def _is_corrected(self) -> bool:
         """Return whether the clock was set once, to a time that is as likely as the one before."""

@@ -1,7 +1,7 @@
 """Detection of a laser pulse: the model of the 2015 paper, equation by equation.
 
 Source: Opromolla et al., Sensors 15(3), 2015, section 3.2, Eqs. 4 to 9. Powers and electrons are those
-of one pulse. All arrays broadcast.
+of one pulse. All arrays broadcast; a result has the shape that they have together.
 """
 
 from math import log, pi, sqrt

@@ -88,9 +88,13 @@ class _Surface:
     """All sides of all pieces that are surfaces of the target."""
 
     triangles_m: FloatArray
+    """Corners, target axes, shape (T, 3, 3)."""
     part: NDArray[np.int32]
+    """Index of each triangle's part, shape (T,)."""
     material: NDArray[np.int32]
+    """Index of each triangle's material, shape (T,)."""
     seen: NDArray[np.bool_]
+    """Whether each triangle can be seen from outside, shape (T,)."""
     back_parts: NDArray[np.int32]
     """Index of the part whose back it is, for each part beyond those of the parameters, shape (B,)."""
 

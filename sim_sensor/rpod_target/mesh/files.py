@@ -167,8 +167,11 @@ def _prepared(
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
+    """A piece of a file's mesh, of one material."""
+
     name: str
     triangles: FloatArray
+    """Corners, in the file's unit and axes, shape (T, 3, 3)."""
     material: FileMaterial | None
 
 

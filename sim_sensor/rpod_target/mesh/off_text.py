@@ -42,7 +42,7 @@ def _polygon(words: list[bytes]) -> tuple[bytes, list[int]]:
     count = int(words[0])
     corners = [int(word) + 1 for word in words[1 : 1 + count]]
     if len(corners) != count or min(corners, default=1) < 1:
-        raise ValueError(f"a face of {count} corners has {len(corners)}, or a negative one")
+        raise ValueError(f"a face of {count} corners has {len(corners)} indices, or a negative one")
     shares = words[1 + count : 4 + count]
     if len(shares) < 3:
         return b"", corners

@@ -120,6 +120,16 @@ def test_the_ellipse_of_another_target_begins_where_enough_returns_come(brick):
     assert [min(ranges_m), max(ranges_m)] == pytest.approx([least_m, greatest_m], rel=0.1)
 
 
+def test_the_positions_on_the_ellipse_are_those_of_the_paper():
+    motion = lidar_trajectory.motion_of("envisat-bulky")
+    centre_of_mass_m = cached_target("envisat-bulky").centre_of_mass_m
+    times_s = lidar_trajectory.INTERVAL_S * np.arange(lidar_trajectory.POSITIONS)
+    assert (times_s[1], times_s[-1]) == (50.0, 12000.0)
+    centres_m = np.array([motion.state(time_s).T_chaser_target.apply(centre_of_mass_m) for time_s in times_s])
+    np.testing.assert_allclose(centres_m[:, :2], 0.0, atol=1e-9)
+    assert [centres_m[:, 2].min(), centres_m[:, 2].max()] == pytest.approx([25.0, 53.0], abs=0.05)
+
+
 def test_answers_that_name_rivals_are_counted_except_by_symmetry():
     columns = {"verdict": pl.String, "accepted": pl.Boolean, "right_hypothesis": pl.Boolean}
     rows = [("ambiguous", False, True), ("ambiguous", False, False), ("ambiguous", True, True)]

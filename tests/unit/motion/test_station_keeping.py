@@ -1,15 +1,11 @@
-"""The chaser on a safety ellipse: its range, where it looks, and the positions a campaign tries."""
+"""The chaser on a safety ellipse: its range, and where it looks."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
-from rpod_motion import safety_ellipse_positions
 from rpod_motion.trajectories.station_keeping import StationKeeping
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.motion import FixedAttitudeConfig, SpinConfig
 
 
 def ellipse(*, phase_deg: float = 0.0) -> StationKeeping:
@@ -66,25 +62,3 @@ def test_the_chasers_down_is_as_near_as_may_be_to_the_ellipses_normal() -> None:
         _, _, target = motion.orbit.separation(time_s)
         R_local_chaser = target.R_inertial_local.T @ motion.R_epoch_inertial.T @ state.R_epoch_chaser
         np.testing.assert_allclose(motion.down_L @ R_local_chaser, [0.0, 1.0, 0.0], atol=5e-3)
-
-
-def test_a_campaigns_positions_are_those_of_the_paper() -> None:
-    times_s, poses = safety_ellipse_positions(
-        FixedAttitudeConfig(), centre_of_mass_m=np.array([-3.86, 0.0, 0.0]), inertia_kg_m2=np.eye(3)
-    )
-    np.testing.assert_array_equal(np.diff(times_s), np.full(240, 50.0))
-    centre_m = poses.apply([-3.86, 0.0, 0.0])
-    np.testing.assert_allclose(centre_m[:, :2], 0.0, atol=1e-12)
-    assert centre_m[:, 2].min() == pytest.approx(25.0, abs=0.05)
-    assert centre_m[:, 2].max() == pytest.approx(53.0, abs=0.05)
-
-
-def test_a_campaigns_target_turns_as_it_is_declared() -> None:
-    still, spun = (
-        safety_ellipse_positions(
-            SpinConfig(rate_deg_s=rate_deg_s), centre_of_mass_m=np.zeros(3), inertia_kg_m2=np.eye(3)
-        )[1].rotation
-        for rate_deg_s in (0.0, 0.1)
-    )
-    expected = Rotation.from_rotvec(np.deg2rad(5.0 * np.arange(241))[:, None] * [1.0, 0.0, 0.0])
-    np.testing.assert_allclose((still.inv() * spun * expected.inv()).magnitude(), 0.0, atol=1e-9)

@@ -3,12 +3,13 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 
 from rpod_schemas.config.base import Config, Positive, check, in_place, load, read_document
+from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
-from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.config.scenario import Scenario, ScenarioEstimator
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import Pose
 
@@ -227,18 +228,44 @@ SCENARIO = {
 
 
 def test_the_estimator_of_a_scenario_listens_to_all_sensors_if_it_names_none():
-    for estimator in ({}, {"estimator": {}}, {"estimator": {"filter": {"errors": "considered"}}}):
+    considered = {"filter": {"errors": "considered"}}
+    for estimator in ({}, {"estimator": {}}, {"estimator": considered}, {"estimator": ScenarioEstimator()}):
         scenario = Scenario.model_validate(SCENARIO | estimator)
         heard = [(sensor.kind, sensor.name) for sensor in scenario.estimator.sensors]
         assert heard == [("pmd", "near"), ("lidar", "lidar")]
+        assert (scenario.estimator.filter.errors == "considered") == ({"estimator": considered} == estimator)
     only = {"estimator": {"sensors": [{"kind": "lidar"}]}}
     assert [each.kind for each in Scenario.model_validate(SCENARIO | only).estimator.sensors] == ["lidar"]
 
 
-@pytest.mark.parametrize("sensors", [[], [{"kind": "sonar"}], [7], "pmd"])
-def test_a_scenario_without_usable_sensors_names_them(sensors):
-    with pytest.raises(ValidationError, match="sensors"):
-        Scenario.model_validate(SCENARIO | {"sensors": sensors})
+def test_what_a_scenario_may_leave_out_is_required_neither_by_its_model_nor_by_the_json_schema():
+    assert {name for name, field in Scenario.model_fields.items() if field.is_required()} == set(SCENARIO)
+    assert "required" not in ScenarioEstimator.model_json_schema()
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [[], [{"kind": "sonar"}], [7], "pmd", [{"kind": "pmd"}, {"kind": "pmd"}], [{"kind": "pmd", "name": ""}]],
+)
+def test_wrong_sensors_of_a_scenario_are_told_at_their_place_alone(sensors):
+    with pytest.raises(ConfigurationError) as raised:
+        check(Scenario, SCENARIO | {"sensors": sensors}, source="mine.yaml")
+    assert str(raised.value).startswith("mine.yaml: sensors")
+    assert "estimator" not in str(raised.value)
+
+
+def test_an_emulator_with_two_sensors_of_one_name_is_refused():
+    with pytest.raises(ConfigurationError, match=r"sensors: two have the name 'pmd'"):
+        check(
+            EmulatorConfig,
+            {"target": "mockup", "sensors": [{"kind": "pmd"}, {"kind": "pmd"}]},
+            source="mine.yaml",
+        )
+
+
+def test_an_estimator_that_uses_no_sensor_is_refused():
+    with pytest.raises(ConfigurationError, match=r"estimator\.sensors: has 0 items; it needs 1 at least"):
+        check(Scenario, SCENARIO | {"estimator": {"sensors": []}}, source="mine.yaml")
 
 
 def test_a_sensor_that_is_not_emulated_is_named_beside_those_that_are():

@@ -15,7 +15,7 @@ from rpod_schemas.config.lidar.search import GlobalSearchConfig, ProjectiveIcpCo
 from rpod_schemas.config.pmd.depth_calibration import CalibrationSource
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
-from rpod_schemas.config.sensor import AlertLimit, EmulatedSensor, MethodConfig, SensorInput
+from rpod_schemas.config.sensor import DISTINCT, AlertLimit, EmulatedSensor, MethodConfig, SensorInput
 from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
 from rpod_schemas.poses import Pose
@@ -166,7 +166,7 @@ class NavigatorConfig(Config):
 class EstimatorSettings(Config):
     """Sensors, navigator and filter of the estimator; part of a scenario."""
 
-    sensors: tuple[HeardSensor, ...] = Field(min_length=1)
+    sensors: Annotated[tuple[HeardSensor, ...], DISTINCT] = Field(min_length=1)
     """Sensors that the estimator uses, each with the ``kind`` and the name under which it publishes."""
     initial_pose: Pose | None = None
     """Pose T_chaser_target at the first frame. Set it if the pose is known, as in the 2018 paper; no search
@@ -186,13 +186,6 @@ class EstimatorSettings(Config):
     """Motion of target and chaser between measurements."""
     integrity: IntegrityConfig = IntegrityConfig()
     """Protection levels and alerts."""
-
-    @model_validator(mode="after")
-    def _names_differ(self) -> Self:
-        names = [sensor.name for sensor in self.sensors]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"sensors: two have the name {twice[0]!r}; give each its own name")
-        return self
 
 
 class EstimatorConfig(ServiceConfig, EstimatorSettings):

@@ -32,7 +32,9 @@ class BackoffConfig(Config):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.max_s < self.first_s:
-            raise ValueError(f"max_s is {self.max_s:g}, shorter than first_s, {self.first_s:g}")
+            raise ValueError(
+                f"max_s is {self.max_s:g}, shorter than first_s, {self.first_s:g}: raise it, or lower first_s"
+            )
         return self
 
 

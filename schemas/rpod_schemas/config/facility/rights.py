@@ -65,13 +65,17 @@ class RightsConfig(Config):
         for name, grant in self.ros_services.items():
             for member in (grant.server, grant.client):
                 if member not in self.members:
-                    raise ValueError(f"ros_services.{name}: {member!r} is no member")
+                    known = ", ".join(self.members)
+                    raise ValueError(f"ros_services.{name}: {member!r} is no member; members has {known}")
         return self
 
     @model_validator(mode="after")
     def _two_routers_at_most(self) -> Self:
         if len(self.routers) > 2:
-            raise ValueError(f"members connect to {', '.join(self.routers)}; two routers can be joined")
+            raise ValueError(
+                f"members connect to {', '.join(self.routers)}; at most two routers can be joined: correct "
+                "the router of some members"
+            )
         return self
 
     @property

@@ -98,7 +98,8 @@ def _fit_pairs(measured: StampedPoses, truth: StampedPoses, known: Assumptions, 
     if kept.sum() < _LEAST_PAIRS:
         raise CalibrationError(
             f"{int(kept.sum())} poses of the sensor have truth around them, needs {_LEAST_PAIRS}; the first "
-            f"stamp is {1e-9 * float(measured.stamp_ns[0] - truth.stamp_ns[0]):.3f} s after the truth's first"
+            f"stamp is {1e-9 * float(measured.stamp_ns[0] - truth.stamp_ns[0]):.3f} s after the truth's "
+            "first: log both at the same time, and set their clocks alike"
         )
     problem = Problem(measured.at(kept), Interpolated(truth), known)
     state, motion = _start(problem, offset_s)

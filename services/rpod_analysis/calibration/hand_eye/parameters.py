@@ -24,7 +24,7 @@ class Assumptions:
     drift_sigma: float = 1e-4
     """Standard deviation of the clock's drift, s/s: quartz oscillators are within 100 ppm."""
     mount: tuple[FloatArray, FloatArray] | None = None
-    """Mount that is kept, rotation matrix and position; None if it is found."""
+    """Mount that is kept: rotation matrix, shape (3, 3), and position, shape (3,), m; None if it is found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,13 @@ class State:
     """Values of the parameters: mount X, holder Y, clock and depth offset."""
 
     R_X: FloatArray
+    """Attitude of the mount, R_chaser_sensor, shape (3, 3)."""
     t_X: FloatArray
+    """Position of the mount, chaser axes, shape (3,), m."""
     R_Y: FloatArray
+    """Attitude of the target in the holder, R_holder_target, shape (3, 3)."""
     t_Y: FloatArray
+    """Position of the target in the holder, holder axes, shape (3,), m."""
     offset_s: float
     """Length by which the sensor's clock is ahead in the middle of the poses, s."""
     drift: float = 0.0
@@ -64,7 +68,7 @@ class HandEye:
     middle_ns: int
     """Stamp of the sensor in the middle of the poses, at which the offset is given."""
     covariance: FloatArray
-    """Covariance of all 15 parameters, by the indices above; zero for those that were kept."""
+    """Covariance of all parameters, by the indices above, shape (15, 15); zero for those that were kept."""
     independent: FloatArray
     """Covariance if errors were independent and of the residuals' own size: the Cramer-Rao bound of normal
     ones, shape (15, 15)."""

@@ -159,7 +159,13 @@ class Beginning:
 def first_state(
     pose: RigidTransform | None, covariance: FloatArray | None, stamp_ns: int | None
 ) -> NavigatorState:
-    """Return the first state: searching, or waiting for a frame to verify a given pose."""
+    """Return the first state: searching, or waiting for a frame to verify a given pose.
+
+    Args:
+        pose: T_chaser_target; None to search for it.
+        covariance: covariance of its (dp, dtheta), chaser axes, ICD section 1, shape (6, 6); None if unknown.
+        stamp_ns: its stamp, ns of UTC; None for that of the first frame.
+    """
     if pose is None:
         return NavigatorState()
     if covariance is None:

@@ -31,6 +31,9 @@ STEPS = 25
 """Number of points along a spoke at which the amplitude is read. Numerics: a budget of computation."""
 REFITS = 3
 """Number of times that the circle is fitted, each time in a narrower search. Numerics: a budget."""
+LEAST_STEP = 0.01
+"""Least change between two points of a spoke that counts as an edge, as a share of white. Hand: 2.5 of 255
+grey values, a little above their rounding."""
 _ANGLE = np.arange(SPOKES) * (2.0 * np.pi / SPOKES)
 """Angles of the spokes, rad. Physics: even over the circle."""
 _SPOKE = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=1)
@@ -157,11 +160,6 @@ def measured_circle(
             return None
         spread = max(0.5 * spread, 0.06)
     return centre
-
-
-LEAST_STEP = 0.01
-"""Least change between two points of a spoke that counts as an edge, as a share of white. Hand: 2.5 of 255
-grey values, a little above their rounding."""
 
 
 @kernel

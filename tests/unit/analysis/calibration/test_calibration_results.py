@@ -72,8 +72,7 @@ def test_the_command_names_what_it_leaves_out(frames, tmp_path, monkeypatch, cap
     log = Opened(paths=LOG.paths, odometry=lambda _topic: iter(()), unreadable=())
     monkeypatch.setattr("rpod.calibrate.background.open_log", lambda _path: log)
     monkeypatch.setattr("rpod.calibrate.background.print_unreadable", lambda *_: None)
-    given = [tmp_path / "empty.mcap"]
-    assert background_command(given, out=tmp_path / "known.yaml", as_json=True) == 0
+    assert background_command(tmp_path / "empty.mcap", out=tmp_path / "known.yaml", as_json=True) == 0
     told = capsys.readouterr()
     assert "rpod calibrate background: 'top' has no background: its frames are no image" in told.err
     assert list(json.loads(told.out)["left_out"]) == ["top"]

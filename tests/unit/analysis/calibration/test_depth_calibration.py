@@ -171,6 +171,12 @@ def test_a_configuration_gives_the_target_and_the_mount_that_a_log_lacks(tmp_pat
     assert shorter_m == pytest.approx(0.1, abs=0.02)
 
 
+def test_a_configuration_gives_the_frequency_that_a_log_lacks(tmp_path):
+    log = write(tmp_path / "bare.mcap", inwards, seed=3, duration_s=0.2, info=None)
+    config = EstimatorConfig(target="mockup", sensors=(PmdInput(modulation_frequency_hz=(HERTZ,)),))
+    assert samples_of(log, config=config).modulation_frequency_hz == (HERTZ,)
+
+
 @pytest.mark.parametrize("truth_rate_hz", [10.0, 100.0])
 def test_the_truth_may_come_at_any_rate(tmp_path, truth_rate_hz):
     path = write(tmp_path / "slow.mcap", waiting, seed=3, duration_s=1.0, truth_rate_hz=truth_rate_hz)
@@ -352,9 +358,7 @@ def test_the_command_fails_with_one_line(tmp_path, capsys):
 
 def test_the_background_of_a_log_without_the_target_is_written_for_the_estimator(tmp_path, logs, capsys):
     out = tmp_path / "known.yaml"
-    assert background_command([logs[0]], out=out, as_json=True) == 0
+    assert background_command(logs[0], out=out, as_json=True) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["sensors"]["pmd"]["frames"] > 10
     assert known_parts(out, "pmd", PmdFrames()).background.range_m.shape == (96, 118)
-    assert background_command([], out=out, as_json=False) == 2
-    assert "0 logs are given; give one" in capsys.readouterr().err
