@@ -23,12 +23,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import contradicted, undetermined
+from rpod_pose.lidar.posterior.weak_directions import walked, weakest_motions
 from rpod_pose.lidar.projective_icp import ProjectiveIcp, with_false_returns
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_search import Model, Pose, Scanner, ScanSearch
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_pose.ports import Acquisition, Registration
-from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.search.attitude_grid import attitudes_of, within
 from rpod_pose.search.hypotheses import NEGLIGIBLE, belief_with_rivals, rivals
 from rpod_pose.search.turns import Turns
@@ -38,6 +40,10 @@ from rpod_schemas.config.lidar.search import GlobalSearchConfig
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import LidarScan, Source
 from rpod_target import Target
+
+ROUNDS, REFINED = 3, 6
+"""Largest number of rounds along weakly determined motions, and of poses that are refined in each. Numerics:
+a budget of computation."""
 
 
 class GlobalSearch:
@@ -160,6 +166,44 @@ class GlobalSearch:
             )
         return ScanSearch(self._config, self._model, self._scanners[stride, first], seen, self._truncation_m)
 
+    def _beside(self, search: ScanSearch, pose: Pose) -> list[Pose]:
+        """Return other poses that are as likely as the best one, along motions that the faces leave open.
+
+        Each motion is followed while it leads to poses that may be rivals. The likeliest of them are refined
+        on the outline. The next round starts from a pose that is clearly likelier.
+        """
+        found: list[Pose] = []
+        for _ in range(ROUNDS):
+            tried = self._along_weak(search, pose)
+            refined = [search.outline_refined(each) for each in tried[:REFINED]]
+            likely = [each for each in refined if each.fit.log_likelihood >= pose.fit.log_likelihood - CHANCE]
+            near = search.are_close(pose, likely) if likely else ()
+            likely = [each for each, is_near in zip(likely, near, strict=True) if not is_near]
+            found += likely
+            best = max(likely, key=lambda each: each.fit.log_likelihood, default=pose)
+            if best.fit.log_likelihood <= pose.fit.log_likelihood + CHANCE:
+                break
+            pose = best
+        return found
+
+    def _along_weak(self, search: ScanSearch, pose: Pose) -> list[Pose]:
+        """Return the poses along the motions that the faces tell least, likeliest first."""
+        start, found = PoseArrays(pose.R, pose.t), list[Pose]()
+        spacing_m = search.scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
+        least = pose.fit.log_likelihood - self._tuning.rival_log_likelihood
+
+        def is_likely(step: FloatArray) -> bool:
+            there = search.unrefined(*stepped(start, step))
+            if there.fit.log_likelihood < least:
+                return False
+            found.append(there)
+            return True
+
+        faces = search.fine_aligned(pose.R, pose.t).information
+        for motion in weakest_motions(faces, self._radius_m):
+            walked(motion, spacing_m, self._radius_m, is_likely)
+        return sorted(found, key=lambda each: -each.fit.log_likelihood)
+
     def _too_few(self, seen: SeenScan) -> Acquisition:
         reason = f"{seen.returns} returns, {self._tuning.min_points} needed"
         return Acquisition(Registration.none(Source.NONE, reason))
@@ -172,8 +216,9 @@ class GlobalSearch:
             nothing = Registration.none(Source.LIDAR, "no attitude shows the target to the sensor")
             return Acquisition(nothing, templates=templates)
         registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
-        if not search.few and not search.is_settled(registration, poses):
-            poses = search.closed(poses)
+        beside = [] if search.few else self._beside(search, poses[0])
+        if beside or not (search.few or search.is_settled(registration, poses)):
+            poses = search.closed(search.distinct([*poses, *beside]))
             registration = self._tracker.finish(whole, poses[0].R, poses[0].t)
         belief = search.belief(poses[0])
         if search.few and registration.T_sensor_target is not None:

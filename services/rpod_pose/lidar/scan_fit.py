@@ -44,7 +44,7 @@ from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.pose_evidence import Misfit
 from rpod_pose.registration.lie_group import PoseArrays, stepped
 from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
-from rpod_pose.search.even_samples import steps_of
+from rpod_pose.search.even_samples import normal_steps, steps_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 
@@ -66,6 +66,9 @@ UNKNOWN_SIGMA_M = 0.05
 DRAWN_POWER = 4
 """Logarithm to base 2 of the number of poses that are drawn near a pose to check whether it is at an optimum.
 Numerics: a budget; if a pose is some standard deviations off, several of 16 are likelier."""
+
+UPHILL_SIGMAS = np.array([1.0, 2.0, 4.0, 8.0])
+"""Lengths of the steps uphill, in standard deviations. Numerics: a budget; each is twice the one before."""
 
 _UNEVEN = 0.15
 """Error that the ranges of neighbours may share because of their surface, over the stated sigma. Hand: 3 of
@@ -276,7 +279,9 @@ class ScanModel:
         """Return a pose near a given one whose log likelihood is higher by more than ``CHANCE``, or None.
 
         An alignment may stop before the optimum, for example among thousands of small faces. A pose that is
-        drawn from the covariance at an optimum has a log likelihood that is lower by three on average.
+        drawn from the covariance at an optimum has a log likelihood that is lower by three on average. On a
+        slope the same holds for most of the drawn poses, since few of them lie uphill. Therefore their
+        gradient is followed too.
 
         Args:
             seen: the scan.
@@ -286,6 +291,10 @@ class ScanModel:
         steps = np.vstack((np.zeros(6), steps_of(covariance, DRAWN_POWER)))
         measured, rays = self._cropped(seen, pose)
         logs = log_likelihoods(measured, pose, steps, rays, self.assumed)
+        if logs.max() <= logs[0] + CHANCE:
+            along = uphill(steps[1:], logs[1:] - logs[0])
+            steps = np.vstack((steps[0], along))
+            logs = np.append(logs[0], log_likelihoods(measured, pose, along, rays, self.assumed))
         best = logs.argmax()
         return stepped(pose, steps[best]) if logs[best] > logs[0] + CHANCE else None
 
@@ -346,6 +355,23 @@ def _assumptions(config: ScanModelConfig, sigma_range_m: float, radius_m: float)
         least_range_m=config.least_range_m,
         detection=detection(config.surest_detection, config.clutter_share),
     )
+
+
+def uphill(steps: FloatArray, gains: FloatArray) -> FloatArray:
+    """Return steps uphill, for steps that were drawn from a covariance and their log likelihoods.
+
+    The gains are fitted by a slope and a common curvature, in units of the covariance.
+
+    Args:
+        steps: drawn steps, shape (N, 6).
+        gains: log likelihood of each relative to that of no step, shape (N,).
+    """
+    drawn = normal_steps(DRAWN_POWER)
+    slope, *_ = np.linalg.lstsq(np.column_stack((drawn, (drawn**2).sum(axis=1))), gains, rcond=None)
+    direction = slope[:6] / max(float(np.linalg.norm(slope[:6])), 1e-12)
+    root, *_ = np.linalg.lstsq(drawn, steps, rcond=None)
+    along: FloatArray = np.outer(UPHILL_SIGMAS, direction @ root)
+    return along
 
 
 def _neighbours(

@@ -134,7 +134,7 @@ class ScanSearch:
         truncation_m: float,
     ) -> None:
         self._config, self._tuning = config, config.tuning
-        self._model, self._scanner, self.seen = model, scanner, seen
+        self._model, self.scanner, self.seen = model, scanner, seen
         self._comparison = Comparison(
             model.views,
             seen,
@@ -158,7 +158,7 @@ class ScanSearch:
     @property
     def informative(self) -> float:
         """Number of informative returns, as ``ScanModel.informative`` defines it."""
-        return self._scanner.statistics.informative(self.seen)
+        return self.scanner.statistics.informative(self.seen)
 
     def search(self, attitudes: Float32Array, level: SearchLevelConfig) -> list[Pose]:
         """Return distinct poses, likeliest first; empty if the target is in view at no attitude.
@@ -183,15 +183,15 @@ class ScanSearch:
         tuning, turned = self._tuning, list[Pose]()
         found = list(found)
         for _ in range(tuning.turned):
-            best = self._distinct(found)[:siblings]
+            best = self.distinct(found)[:siblings]
             chosen = next((pose for pose in best if not self._is_turned(pose, turned)), None)
             if chosen is None:
                 break
             chosen = self._finished(chosen)
             turned.append(chosen)
             found += [chosen, *self._turned(chosen, tuning.turns)]
-        best = self._distinct(found)[: tuning.few_finished if self.few else tuning.finished]
-        finished = self._distinct([self._improved(pose, self._fine_m) for pose in best])
+        best = self.distinct(found)[: tuning.few_finished if self.few else tuning.finished]
+        finished = self.distinct([self._improved(pose, self._fine_m) for pose in best])
         if self.few:
             return self.closed(finished)
         return self._outlined(finished) if len(self._likely(finished)) > 1 else finished
@@ -209,9 +209,9 @@ class ScanSearch:
         gain = max(best.fit.log_likelihood - first.fit.log_likelihood, 0.0)
         every = [best, *others]
         for _ in range(self._tuning.few_closures):
-            every = self._distinct([*every, *self._turned(best, self._tuning.few_turns)])
+            every = self.distinct([*every, *self._turned(best, self._tuning.few_turns)])
             likely = self._likely(every, gain)
-            every = self._distinct([*map(self._polished, likely), *every[len(likely) :]])
+            every = self.distinct([*map(self._polished, likely), *every[len(likely) :]])
             if every[0] is best:
                 break
             best = every[0]
@@ -220,7 +220,7 @@ class ScanSearch:
     def _outlined(self, ranked: list[Pose]) -> list[Pose]:
         """Return poses, likeliest first; those about as likely as the best are refined on the outline."""
         likely = self._likely(ranked)
-        return self._distinct([*map(self._outline_refined, likely), *ranked[len(likely) :]])
+        return self.distinct([*map(self.outline_refined, likely), *ranked[len(likely) :]])
 
     def is_settled(self, registration: Registration, poses: Sequence[Pose]) -> bool:
         """Return whether the registered best pose is at an optimum and no other pose is about as likely.
@@ -233,22 +233,22 @@ class ScanSearch:
         pose = PoseArrays.of(registration.T_sensor_target)
         turn = np.kron(np.eye(2), pose.R.T)
         spread = turn @ registration.covariance @ turn.T
-        return len(self._likely(poses)) == 1 and self._scanner.statistics.is_settled(self.seen, pose, spread)
+        return len(self._likely(poses)) == 1 and self.scanner.statistics.is_settled(self.seen, pose, spread)
 
     def ranked(self, poses: Sequence[Pose]) -> list[Pose]:
         """Return poses by falling posterior mass, without those that belong to the posterior of the best."""
-        best, *others = sorted(poses, key=lambda pose: -pose.log_mass(self._scanner.reach.radius_m))
+        best, *others = sorted(poses, key=lambda pose: -pose.log_mass(self.scanner.reach.radius_m))
         steps = [step_between(pose_of(best.R, best.t), pose_of(other.R, other.t)) for other in others]
         near = [step @ best.information @ step <= ABSORBED for step in steps]
         return [best, *(other for other, inside in zip(others, near, strict=True) if not inside)]
 
     def sampled_near(self, pose: PoseArrays) -> Pose:
         """Return the posterior mean near a pose, from samples."""
-        return self._polished(self._unrefined(pose.R, pose.t))
+        return self._polished(self.unrefined(pose.R, pose.t))
 
     def _polished(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline and then by samples of the posterior, unless it is already."""
-        return pose if pose.sampled_mass is not None else self._sampled(self._outline_refined(pose))
+        return pose if pose.sampled_mass is not None else self._sampled(self.outline_refined(pose))
 
     def _likely(self, ranked: Sequence[Pose], gain: float = 0.0) -> list[Pose]:
         """Return the poses that are about as likely as the best one.
@@ -265,7 +265,7 @@ class ScanSearch:
         """Return a pose after full refinement, so that its near-symmetries start from an accurate pose."""
         pose = self._improved(pose, self._fine_m)
         halfway = 0.0 < pose.fit.deficit < HALFWAY * self.seen.returns
-        return self._outline_refined(pose) if halfway and not self.few else pose
+        return self.outline_refined(pose) if halfway and not self.few else pose
 
     def _is_turned(self, pose: Pose, turned: Sequence[Pose]) -> bool:
         """Return whether a pose's near-symmetries were tried when it was about as likely as now."""
@@ -283,7 +283,7 @@ class ScanSearch:
     def face_aligned(self, R: FloatArray, t: FloatArray, scales_m: FloatArray) -> Pose:
         """Return a pose after one step to the faces for each Geman-McClure scale, shape (steps,)."""
         problem = self._problem(scales_m)
-        statistics = self._scanner.statistics
+        statistics = self.scanner.statistics
         found = aligned(problem, PoseArrays(R, t), self.seen.range_m, statistics.assumed)
         return Pose(*found.pose, ScanFit.of(found.statistics), found.faces.information)
 
@@ -292,7 +292,7 @@ class ScanSearch:
         return self.face_aligned(R, t, self._fine_m)
 
     def _problem(self, scales_m: FloatArray) -> FaceProblem:
-        view, statistics = self._scanner.view, self._scanner.statistics
+        view, statistics = self.scanner.view, self.scanner.statistics
         return FaceProblem(
             self.seen.points_m,
             self.seen.rays,
@@ -304,9 +304,9 @@ class ScanSearch:
             view.hits.arrays,
         )
 
-    def _unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
+    def unrefined(self, R: FloatArray, t: FloatArray) -> Pose:
         """Return a pose as it is, with its fit, without information from any alignment."""
-        return Pose(R, t, self._scanner.statistics.fit(self.seen, R, t), np.zeros((6, 6)))
+        return Pose(R, t, self.scanner.statistics.fit(self.seen, R, t), np.zeros((6, 6)))
 
     def _improved(self, pose: Pose, scales_m: FloatArray) -> Pose:
         """Return a pose aligned with the faces, or unchanged if the alignment makes it less likely."""
@@ -316,7 +316,7 @@ class ScanSearch:
 
     def belief(self, pose: Pose) -> Belief:
         """Return the belief that a pose explains the scan."""
-        return self._scanner.statistics.belief(self.seen, pose.R, pose.t, pose.fit)
+        return self.scanner.statistics.belief(self.seen, pose.R, pose.t, pose.fit)
 
     def _is_sure(self, pose: Pose) -> bool:
         likely = pose.fit.deficit <= -self._tuning.sure_surplus * self.seen.returns
@@ -336,7 +336,7 @@ class ScanSearch:
         best_m = centred_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         return [
-            self._improved(self._unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
+            self._improved(self.unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
             if index < len(turned)
             else self._field_aligned(
                 pose.R @ turns.all[index - len(turned)], best_m[index - len(turned)].astype(np.float64)
@@ -350,16 +350,16 @@ class ScanSearch:
         The ranges of a small target may be mostly noise, and an alignment by them alone may end anywhere.
         """
         rough = field_aligned(self._few, PoseArrays(R, t), self._model.surface.coarse_field, self._far_m)
-        moved, start = self.face_aligned(*rough, self._rough_m), self._unrefined(R, t)
+        moved, start = self.face_aligned(*rough, self._rough_m), self.unrefined(R, t)
         if moved.fit.log_likelihood >= start.fit.log_likelihood:
             return moved
-        return self._outline_refined(start)
+        return self.outline_refined(start)
 
-    def _outline_refined(self, pose: Pose) -> Pose:
+    def outline_refined(self, pose: Pose) -> Pose:
         """Return a pose refined on the outline too; unchanged if no return is on a ray of the pattern."""
         if not (self.seen.range_m > 0.0).any():  # all returns lie beside the pattern
             return pose
-        scanner = self._scanner
+        scanner = self.scanner
         problem, start = self._problem(self._fine_m), PoseArrays(pose.R, pose.t)
         found = outline_mean(problem, start, self.seen.range_m, scanner.statistics.assumed, scanner.reach)
         fit = ScanFit.of(found.statistics)
@@ -376,22 +376,22 @@ class ScanSearch:
             return pose
         start, found = self._posterior(pose)
         for _ in range(RESUMED - 1):
-            refined = self._outline_refined(self._unrefined(*stepped(start, found.likeliest)))
+            refined = self.outline_refined(self.unrefined(*stepped(start, found.likeliest)))
             if not refined.fit.log_likelihood > pose.fit.log_likelihood + CHANCE:
                 break
             pose = refined
             start, found = self._posterior(pose)
-        mean, fit, covariance = self._scanner.statistics.mean(self.seen, start, found)
+        mean, fit, covariance = self.scanner.statistics.mean(self.seen, start, found)
         information: FloatArray = np.linalg.inv(covariance).astype(np.float64)
         return Pose(*mean, ScanFit.of(fit), information, found.log_mass)
 
     def _posterior(self, pose: Pose) -> tuple[PoseArrays, SampledPosterior]:
         """Return a pose and the posterior near it."""
         start = PoseArrays(pose.R, pose.t)
-        rough = neighbourhood(pose.information, start, self._scanner.reach)
-        return start, self._scanner.statistics.posterior(self.seen, start, rough)
+        rough = neighbourhood(pose.information, start, self.scanner.reach)
+        return start, self.scanner.statistics.posterior(self.seen, start, rough)
 
-    def _distinct(self, poses: list[Pose]) -> list[Pose]:
+    def distinct(self, poses: list[Pose]) -> list[Pose]:
         """Return the poses in falling order of likelihood, without those close to a better one."""
         ranked = sorted(poses, key=lambda pose: -pose.fit.log_likelihood)
         return self._model.turns.distinct(ranked, self._tuning.distinct_deg)

@@ -28,6 +28,7 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import undetermined
+from rpod_pose.pmd.amplitude_unit import in_counts
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.pmd.depth_view import rays_of
 from rpod_pose.pmd.other_things import PmdFrames
@@ -97,7 +98,7 @@ class DepthPreparation:
 
     def predicted(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
         """Return a frame unwrapped around a predicted pose and calibrated."""
-        range_m = float(np.linalg.norm(T_sensor_target.translation))
+        frame, range_m = in_counts(frame), float(np.linalg.norm(T_sensor_target.translation))
         if self._is_longer(frame, range_m):
             frame = self._unwrapped_at(frame, T_sensor_target)
         return self._applied(frame, range_m, self.target.radius_m + _MARGIN * self._interval_m(frame))
@@ -109,7 +110,7 @@ class DepthPreparation:
         the target at each of them, all others follow, in steps of half an unambiguous range. So one of them
         contains the whole target.
         """
-        interval_m, alone = self._interval_m(frame), False
+        frame, interval_m, alone = in_counts(frame), self._interval_m(frame), False
         for distance_m in self._fitting_m(frame, interval_m) if interval_m else [0.0]:
             prepared = self._applied(frame, distance_m, 2.0 * self.target.radius_m)
             alone = alone or not interval_m or not self._shows_more(prepared)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import NEAREST_M
+from rpod_pose.pmd.amplitude_unit import least_count
 from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of
 from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, upsampled, window_around
 from rpod_schemas.arrays import Array
@@ -164,7 +165,8 @@ def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:
         return None
     bend_m = np.abs(middle - 0.5 * (left + right))[known]
     factor = float(np.median(bend_m * amplitude[:, 1:-1][known])) * _SIGMA_OF_BEND
-    return np.asarray(factor / np.maximum(amplitude, 1.0), np.float32)
+    least = least_count(amplitude, float(np.median(amplitude[:, 1:-1][known])))
+    return np.asarray(factor / np.maximum(amplitude, least), np.float32)
 
 
 class _Unmeasured(NamedTuple):
@@ -327,7 +329,8 @@ def _mean(image: Array, pixels: Float32Array) -> Float32Array:
 def _sky(frame: PmdFrame, kept: NDArray[np.bool_]) -> float:
     """Return the amplitude of a pixel that shows only sky: the median of the dark pixels without depth."""
     assert frame.amplitude is not None  # noqa: S101 - the caller's condition
-    most = DARK * float(np.median(frame.amplitude[kept])) if kept.any() else 1.0
+    typical = float(np.median(frame.amplitude[kept])) if kept.any() else 0.0
+    most, least = DARK * typical if kept.any() else 1.0, least_count(frame.amplitude, typical)
     dark = frame.amplitude[~(frame.depth_m > 0.0) & (frame.amplitude < most) & (frame.amplitude > 0)]
-    sky = float(np.median(dark)) if dark.size > LEAST_SKY * frame.depth_m.size else 1.0
-    return float(max(1, round(sky)))
+    sky = float(np.median(dark)) if dark.size > LEAST_SKY * frame.depth_m.size else least
+    return max(least, sky if frame.amplitude.dtype.kind == "f" else float(round(sky)))

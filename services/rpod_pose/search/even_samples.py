@@ -25,12 +25,12 @@ def sobol(dimensions: int, power: int) -> FloatArray:
 def steps_of(covariance: FloatArray, power: int) -> FloatArray:
     """Return 2^power normal steps with a covariance of shape (6, 6), shape (2^power, 6)."""
     widened = covariance + _WIDENED * np.diag(np.diag(covariance))
-    steps: FloatArray = _normal_steps(power) @ np.linalg.cholesky(widened).T
+    steps: FloatArray = normal_steps(power) @ np.linalg.cholesky(widened).T
     return steps
 
 
 @cache
-def _normal_steps(power: int) -> FloatArray:
+def normal_steps(power: int) -> FloatArray:
     """Return 2^power standard normal steps in six dimensions, deterministic, shape (2^power, 6)."""
     steps: FloatArray = ndtri(sobol(6, power))
     return steps

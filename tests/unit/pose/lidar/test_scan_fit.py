@@ -10,12 +10,14 @@ from scipy.stats import t as student
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.returns.detection import HALVES, RUNGS, STEEPNESS, detection, expected_shares
-from rpod_pose.lidar.scan_fit import UNKNOWN_SIGMA_M, ScanModel
+from rpod_pose.lidar.scan_fit import DRAWN_POWER, UNKNOWN_SIGMA_M, UPHILL_SIGMAS, ScanModel, uphill
 from rpod_pose.lidar.scan_likelihood import HIT_MEAN, HIT_VARIANCE, PEAK, STEEPEST
+from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.brightness import albedos
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped
 from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.search.even_samples import steps_of
 from rpod_schemas.config.lidar.search import ScanAcceptanceConfig, ScanModelConfig
 from rpod_schemas.poses import make_pose, pose_of
 from rpod_sim_sensor.lidar import LidarEmulator
@@ -247,6 +249,20 @@ def test_a_pose_is_settled_where_no_pose_around_it_is_clearly_likelier():
             settled[not step.any()] += is_settled
     assert settled[True] == 8
     assert settled[False] <= 1
+
+
+def test_the_way_uphill_is_found_from_steps_that_are_not_likelier():
+    """On a slope of 2 a sigma, none of the drawn steps is likelier by more than ``CHANCE``."""
+    generator = np.random.default_rng(1)
+    root = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]) @ (np.eye(6) + 0.2 * generator.normal(size=(6, 6)))
+    covariance, slope = root @ root.T, generator.normal(size=6)
+    slope *= 2.0 / np.linalg.norm(slope)
+    steps = steps_of(covariance, DRAWN_POWER)
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), steps.T).T
+    gains = whitened @ slope - 0.5 * (whitened**2).sum(axis=1)
+    assert gains.max() <= CHANCE
+    along = np.linalg.solve(np.linalg.cholesky(covariance), uphill(steps, gains).T).T
+    np.testing.assert_allclose(along, np.outer(UPHILL_SIGMAS, slope / 2.0), atol=1e-3)
 
 
 def test_the_mass_of_a_posterior_is_the_integral_of_its_likelihood():

@@ -124,3 +124,15 @@ def test_the_light_of_others_is_taken_away_around_the_target_alone_with_the_same
     whole = laboratory.separated()
     for name in ("depth_m", "amplitude", "hidden"):
         np.testing.assert_array_equal(getattr(around, name), getattr(whole, name), name)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_the_unit_of_a_float_amplitude_does_not_matter(unit: float):
+    laboratory, other = Laboratory(), Laboratory()
+    laboratory.amplitude = laboratory.amplitude.astype(np.float32) + np.float32(0.5)
+    other.amplitude = laboratory.amplitude * np.float32(unit)
+    separated, scaled = laboratory.separated().amplitude, other.separated().amplitude
+    np.testing.assert_allclose(scaled, separated * np.float32(unit), rtol=1e-5)
+    assert separated[0, 0] < 0.01 * Laboratory.target[1]  # the wall is dark
+    noise = [PmdFrames().image(each.frame, fine=True).sigma_m for each in (laboratory, other)]
+    np.testing.assert_allclose(*noise, rtol=1e-5)
