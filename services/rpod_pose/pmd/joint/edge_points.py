@@ -14,7 +14,7 @@ from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_pose.pmd.joint.edge_search import Patch, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
-from rpod_pose.registration.normal_equations import add_residual, geman_mcclure, gradient_of, no_sums
+from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
 from rpod_schemas.arrays import FloatArray
 
 SCALE, LAST_SCALE = 0.2, 0.13
@@ -107,8 +107,8 @@ def add_edge_points(
     edges, lens, patch, expected_edges = sight
     (R, t), places, directions = pose, edges.places_m, edges.directions
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
-    near2, c2, shift, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, no_sums(), np.zeros(3)
-    shift_weight, shift_pull, every = 0.0, 0.0, no_sums()
+    near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
+    of_shifts = np.zeros((3, SUMS))
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
@@ -146,15 +146,45 @@ def add_edge_points(
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
-            line, weight = Profile(column, row, across, down), geman_mcclure(e2, c2)
-            darker = darker_side(patch, line, place)
-            add_residual(every, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
-            if is_beside_saturated(patch, line, place):
-                shifted += 1
-                add_residual(shift, Vector(-kx, -ky, -kz), Vector(x, y, z), darker, weight)
-                shift_weight, shift_pull = shift_weight + weight, shift_pull - weight * darker * place
-    shifts = EdgeShifts(shift, shift_weight, shift_pull, every)
+            line = Profile(column, row, across, down)
+            edge = SideEdge(Vector(-kx, -ky, -kz), Vector(x, y, z), place, geman_mcclure(e2, c2))
+            shifted += add_to_shifts(of_shifts, edge, patch, line)
+    shifts = EdgeShifts(of_shifts[0], of_shifts[2, 0], of_shifts[2, 1], of_shifts[1])
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
+
+
+class SideEdge(NamedTuple):
+    """An edge whose side is asked for."""
+
+    normal: Vector
+    """Normal of its residual, target axes, px/m."""
+    at: Vector
+    """Its place on the target, target axes, m."""
+    place: float
+    """Its place on the line across it, px."""
+    weight: float
+    """Weight of its residual."""
+
+
+@inner_kernel
+def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Profile) -> int:
+    """Add an edge to the sums of the shifts; return 1 if it lies beside saturated pixels, otherwise 0.
+
+    Args:
+        of_shifts: rows of ``EdgeShifts``: the edges beside saturated pixels, all edges, and in the third row
+            weight and pull, shape (3, 35), input and output.
+        edge: the edge.
+        patch: the image.
+        line: line across the edge.
+    """
+    darker = darker_side(patch, line, edge.place)
+    add_residual(of_shifts[1], edge.normal, edge.at, darker, edge.weight)
+    if not is_beside_saturated(patch, line, edge.place):
+        return 0
+    add_residual(of_shifts[0], edge.normal, edge.at, darker, edge.weight)
+    of_shifts[2, 0] += edge.weight
+    of_shifts[2, 1] -= edge.weight * darker * edge.place
+    return 1
 
 
 @inner_kernel
