@@ -42,6 +42,7 @@ _ACCEPTED = {
     (Mode.ACQUIRING, Mode.VERIFYING): "a first pose was found",
     (Mode.ACQUIRING, Mode.TRACKING): "a first pose was found and verified",
     (Mode.VERIFYING, Mode.TRACKING): "the next frames agree with the pose",
+    (Mode.TRACKING, Mode.COASTING): "frames leave a direction open, and its sigma passed the alert limit",
     (Mode.COASTING, Mode.TRACKING): "a measurement agrees with the prediction",
     (Mode.LOST, Mode.VERIFYING): "the target was found again",
     (Mode.TRACKING, Mode.VERIFYING): "the track was lost and begun again by one frame",

@@ -14,6 +14,7 @@ from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import POSE, FilterState, predict
 from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState
+from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import Mode
@@ -42,6 +43,16 @@ class Coasting:
         if state.mode == Mode.COASTING:
             return state, ""
         return replace(state, mode=Mode.COASTING, unseen_ns=supported_ns(state.streams)), silent
+
+    def mode_after(self, state: NavigatorState, registration: Registration, stamp_ns: int) -> Mode:
+        """Return the mode of a track that has accepted a frame.
+
+        A frame may leave a direction of the pose undetermined, as of a face that fills the image. There the
+        track is predicted as without a frame. When its covariance has passed the alert limit, it coasts until
+        frames bring the covariance back. It is not lost as long as frames support it elsewhere.
+        """
+        coasts = state.mode == Mode.COASTING or bool(registration.belief.undetermined)
+        return Mode.COASTING if coasts and self.unusable(state, stamp_ns) else Mode.TRACKING
 
     def _is_supported(self, state: NavigatorState, stamp_ns: int) -> bool:
         return is_supported(

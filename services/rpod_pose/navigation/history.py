@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from rpod_pose.navigation.dynamics.manoeuvre import explaining, followed, is_expected
 from rpod_pose.navigation.dynamics.steady import decided
+from rpod_pose.navigation.dynamics.unseen import with_unseen
 from rpod_pose.navigation.filter import FilterState, Update, predict
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -158,5 +159,6 @@ def _applied(
                 predicted, outcome = raised, again
     if outcome.accepted:
         after = followed(before, predicted, outcome, measurement, config)
+        after = with_unseen(before, after, outcome.innovation, config)
         outcome = outcome._replace(state=decided(before, after, met, measurement, config))
     return Step(measurement, predicted, outcome)

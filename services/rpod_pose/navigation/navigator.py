@@ -327,30 +327,29 @@ class Navigator:
                 if outcome == Outcome.LOST:
                     return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
                 if outcome == Outcome.REPLACED:
-                    state = replace(self._accepting(state, event, registration), mode=Mode.TRACKING)
+                    state = self._accepting(state, event, registration)
                     return state, self._output(state, event, registration, nis=nis)
             reason = self._refusals.explain(history, predicted, measured, nis=nis, tracked=tracked)
             return self._reject(state, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
             state, event.sensor
         )
-        state = replace(
-            self._accepting(state, event, registration),
-            mode=Mode.TRACKING if tracked or verified else Mode.VERIFYING,
-            established=state.established | {event.sensor},
-        )
+        state = self._accepting(state, event, registration)
+        mode = state.mode if tracked or verified else Mode.VERIFYING
+        state = replace(state, mode=mode, established=state.established | {event.sensor})
         return state, self._output(state, event, registration, nis=nis)
 
     def _accepting(
         self, state: NavigatorState, event: Measurement, registration: Registration
     ) -> NavigatorState:
-        return replace(
+        state = replace(
             state.not_searching(event.sensor),
             streams=supported(state.streams, event.sensor, event.stamp_ns),
             confirmations=state.confirmations + 1,
             challenger=None,
             joints=self._beginning.joints_after(state.joints, registration.angles, event.stamp_ns),
         )
+        return replace(state, mode=self._coasting.mode_after(state, registration, event.stamp_ns))
 
     def _reject(
         self,

@@ -33,7 +33,7 @@ from rpod_pose.navigation.filter import (
     start,
     update,
 )
-from rpod_pose.navigation.filter.blocks import Known, averaged, variances, with_known
+from rpod_pose.navigation.filter.blocks import Known, averaged, root_of, variances, with_known
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.pose_evidence import ErrorParts
 from rpod_schemas.arrays import FloatArray
@@ -193,8 +193,8 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
         assert block.spread is not None  # noqa: S101 - given above
         back = to_chaser @ axes.T
         blocks.append(block)
-        by[name] = back @ _root(block.spread)
-        more = back @ _root(stated - block.spread)
+        by[name] = back @ root_of(block.spread)
+        more = back @ root_of(stated - block.spread)
         noise = noise + more @ more.T
     return Shared(symmetric(noise), white=True, blocks=tuple(blocks), sensitivities=by)
 
@@ -224,10 +224,3 @@ def _turn(R: FloatArray) -> FloatArray:
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
     return turn
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return the symmetric root of a covariance, shape (6, 6); eigenvalues below 0 count as 0."""
-    values, vectors = np.linalg.eigh(covariance)
-    root: FloatArray = (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
-    return root

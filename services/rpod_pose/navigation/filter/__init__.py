@@ -16,7 +16,7 @@ unknown angle in the published covariance. The rate about the axis is 0, with th
 A sphere has three such axes: only its position is estimated.
 """
 
-from rpod_pose.navigation.filter.blocks import Block
+from rpod_pose.navigation.filter.blocks import UNSEEN, Block
 from rpod_pose.navigation.filter.correction import (
     NOTHING,
     Innovation,
@@ -32,7 +32,7 @@ from rpod_pose.navigation.filter.correction import (
 )
 from rpod_pose.navigation.filter.first_state import start
 from rpod_pose.navigation.filter.odometry import to_odometry
-from rpod_pose.navigation.filter.prediction import StampOrderError, predict
+from rpod_pose.navigation.filter.prediction import StampOrderError, predict, pushed
 from rpod_pose.navigation.filter.rotations import exponential, left_jacobian
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
@@ -59,6 +59,7 @@ __all__ = [
     "POSITION",
     "RATE",
     "TWIST",
+    "UNSEEN",
     "VELOCITY",
     "Block",
     "FilterState",
@@ -78,6 +79,7 @@ __all__ = [
     "is_consistent",
     "left_jacobian",
     "predict",
+    "pushed",
     "separation_of",
     "start",
     "to_odometry",

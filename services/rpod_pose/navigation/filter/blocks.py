@@ -22,6 +22,9 @@ ALIKE_RAD = 0.1
 """Rotation of the target relative to the line of sight after which covariances of the earlier view have 1/e
 of their weight. Physics: after it, the cosines by which faces are weighted have changed by a tenth."""
 
+UNSEEN = "unseen acceleration"
+"""Name of the block with the acceleration that may act where no frame measures (``dynamics/unseen``)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -40,7 +43,8 @@ class Block:
     """Whether the block is only considered: no measurement changes its value."""
     spread: FloatArray | None = None
     """Covariance of the error that a considered block stands for, averaged over the measurements of this
-    view, in the axes to which the error is fixed, shape (6, 6); None for any other block."""
+    view, in the axes to which the error is fixed, shape (6, 6); of ``UNSEEN``, that of the acceleration at
+    the newest measurement, chaser axes; None for any other block."""
     weight: float = 0.0
     """Number of averaged measurements; those of an earlier view count less."""
 
@@ -136,3 +140,10 @@ def step_of(blocks: Sequence[Block], step_s: float, turn_rad: float) -> tuple[Fl
     """Return the share of each state that is left after a step, and the variance of its noise, (n,) each."""
     kept = np.repeat([block.kept(step_s, turn_rad) for block in blocks], [block.size for block in blocks])
     return kept, (1.0 - kept**2) * variances(blocks)
+
+
+def root_of(covariance: FloatArray) -> FloatArray:
+    """Return the symmetric root of a covariance, shape (6, 6); eigenvalues below 0 count as 0."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: FloatArray = (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
+    return root

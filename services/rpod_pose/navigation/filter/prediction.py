@@ -12,14 +12,16 @@ from math import hypot
 import numpy as np
 
 from rpod_pose.errors import PoseError
-from rpod_pose.navigation.filter.blocks import propagated_blocks, step_of
+from rpod_pose.navigation.filter.blocks import UNSEEN, placed, propagated_blocks, root_of, step_of
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, left_jacobian, symmetric
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
     CALM,
     MOTION,
+    POSE,
     POSITION,
     RATE,
+    TWIST,
     VELOCITY,
     FilterState,
     Manoeuvre,
@@ -53,6 +55,7 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
         return state
     step_s = (stamp_ns - state.stamp_ns) * 1e-9
     moved, F, noise, after = (state.model or constant_twist)(state, step_s, _raised(config, state.factors))
+    F += _push(moved, step_s)
     covariance = F @ state.covariance @ F.T + noise
     if after is not None:
         F, covariance = after @ F, after @ covariance @ after.T
@@ -60,6 +63,28 @@ def predict(state: FilterState, stamp_ns: int, config: FilterConfig) -> FilterSt
     return with_free_axes_unobserved(
         replace(moved, stamp_ns=stamp_ns, covariance=symmetric(covariance), sums=sums), config
     )
+
+
+def pushed(state: FilterState, time_s: float) -> FilterState:
+    """Return a state whose unseen acceleration has acted for a time already, unknown to its covariance."""
+    by = np.eye(state.size) + _push(state, time_s)
+    sums = (state.sums[0].moved(by), state.sums[1].moved(by))
+    return replace(state, covariance=symmetric(by @ state.covariance @ by.T), sums=sums)
+
+
+def _push(state: FilterState, time_s: float) -> FloatArray | float:
+    """Return what errors of the unseen acceleration add to those of pose and twist in a time.
+
+    It acts on the centre of mass: an angular acceleration moves the target's origin about it.
+    """
+    for block, place in placed(state.blocks, MOTION.stop):
+        if block.name == UNSEEN and block.spread is not None:
+            by, root = np.zeros((state.size, state.size)), root_of(block.spread)
+            arm_m = rotation_matrix(state.T_chaser_target) @ state.centre_of_mass_m
+            root[POSITION] += cross_matrix(arm_m) @ root[ATTITUDE]
+            by[POSE, place], by[TWIST, place] = 0.5 * time_s**2 * root, time_s * root
+            return by
+    return 0.0
 
 
 def _raised(config: FilterConfig, manoeuvre: Manoeuvre) -> FilterConfig:

@@ -100,6 +100,12 @@ class InnovationSum(NamedTuple):
             found[:, : self.shared.shape[1]] = self.shared
         return found
 
+    def without(self, place: slice) -> "InnovationSum":
+        """Return the sum without some of the states."""
+        if self.shared is None:
+            return self
+        return self._replace(shared=np.delete(self.shared, place, axis=1))
+
     def moved(self, by: FloatArray) -> "InnovationSum":
         """Return the sum after a step in which the errors of the states are multiplied by a matrix."""
         return self if self.shared is None else self._replace(shared=self.shared_with(len(by)) @ by.T)
@@ -182,6 +188,16 @@ class FilterState:
         kept = [(block, place) for block, place in placed(self.blocks, MOTION.stop) if block.name in names]
         there = np.r_[tuple(place for _, place in kept)] if kept else np.zeros(0, int)
         return Known(tuple(block for block, _ in kept), self.covariance[np.ix_(there, there)])
+
+    def without(self, name: str) -> "FilterState":
+        """Return the state without the block of a name."""
+        place = self.places()[name]
+        return replace(
+            self,
+            covariance=np.delete(np.delete(self.covariance, place, axis=0), place, axis=1),
+            blocks=tuple(block for block in self.blocks if block.name != name),
+            sums=(self.sums[0].without(place), self.sums[1].without(place)),
+        )
 
     def corrected(self, correction: FloatArray) -> "FilterState":
         """Return the state after a correction of its errors, shape (12 + n,), with the same covariance."""

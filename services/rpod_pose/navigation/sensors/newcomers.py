@@ -84,7 +84,7 @@ class Newcomers:
                 reason = probation(state.established)
                 return state, self._output(state, event, registration, reason=reason, nis=nis)
             state = replace(state, history=grown)
-        state = replace(self._accepting(state, event, registration), mode=Mode.TRACKING)
+        state = self._accepting(state, event, registration)
         return state, self._output(state, event, registration, nis=nis)
 
     def _are_silent(self, state: NavigatorState, event: Measurement) -> bool:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
+from rpod_pose.pmd.joint.edge_points import add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, ExpectedEdges
-from rpod_pose.pmd.joint.fit import JointProblem, Shares, add_edge_points
+from rpod_pose.pmd.joint.fit import JointProblem, Shares
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.normal_equations import UNKNOWNS, gradient_of, information_of, no_sums
 from rpod_schemas.arrays import FloatArray

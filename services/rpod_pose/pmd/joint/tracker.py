@@ -38,16 +38,9 @@ from rpod_pose.pmd.joint.check.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
+from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, Sights
-from rpod_pose.pmd.joint.fit import (
-    DepthErrors,
-    EdgeErrors,
-    JointProblem,
-    add_edge_points,
-    align,
-    joint_shares,
-    near_the_pose,
-)
+from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
@@ -314,7 +307,7 @@ class JointTracker:
     def _registered(self, seen: JointFrame, sights: Sights, aligned: Aligned, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
         tuning = self._tuning
-        ((R, t), bias), _, (depth, found, _, _) = aligned.fit
+        ((R, t), bias), _, (depth, found, *_) = aligned.fit
         points, edges, checked = depth.inliers, found.inliers, found.checked
         if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
             reason = f"nothing of the target is seen: {points} points on it, {checked} places of edges"

@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.check.belief import edges_in_place, misplaced_edges, wrong_scale
-from rpod_pose.pmd.joint.fit import EdgeEvidence
+from rpod_pose.pmd.joint.edge_points import EdgeEvidence, EdgeShifts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 
@@ -23,7 +23,8 @@ LIMITS = JointAcceptanceConfig(
     ids=["of what is expected", "whatever the weights", "nothing is expected", "too few"],
 )
 def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(checked, in_place, share):
-    evidence = EdgeEvidence(0.0, 0, checked, 0, 0.0, np.array(in_place), 0, 0.0, no_sums())
+    shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums())
+    evidence = EdgeEvidence(0.0, 0, checked, 0, 0.0, np.array(in_place), 0, 0.0, shifts)
     assert edges_in_place(LIMITS, evidence) == pytest.approx(share)
 
 

@@ -4,7 +4,7 @@ import math
 
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.joint.check.frame_check import Contradictions
-from rpod_pose.pmd.joint.fit import EdgeEvidence
+from rpod_pose.pmd.joint.edge_points import EdgeEvidence
 from rpod_pose.pose_evidence import PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning

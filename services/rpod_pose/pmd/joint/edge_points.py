@@ -1,0 +1,257 @@
+"""The factors of edges: residuals in the image, and shifts that edges share.
+
+A smoothed image shows an edge beside saturated pixels too far on its darker side, by a length that all such
+edges share. This shift is an unknown of the fit, which is eliminated from its normal equations. So these
+edges lose what they would tell together, and the others keep what they tell.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rpod_geometry.kernels import inner_kernel, kernel
+from rpod_pose.pmd.joint.edge_search import Patch, Profile, across_edge, imaged, steepest
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
+from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
+from rpod_schemas.arrays import FloatArray
+
+SCALE, LAST_SCALE = 0.2, 0.13
+"""Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
+a smaller value ignores displaced edges, a larger one follows wrong edges. The scale in the last steps is 0.4
+px, three times the spread of clear edges at the true pose."""
+BLUNTNESS_PX = 1.4
+"""Standard deviation of an edge's position caused by noise, px, over the ratio of noise to change of
+amplitude. Hand: about the width over which a change is blurred; expected errors are proportional to it."""
+SHIFT_PX = 0.5
+"""Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
+Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
+
+
+class EdgeErrors(NamedTuple):
+    """Assumed errors of edges."""
+
+    noise_px: float
+    """Least standard deviation of an edge's position in the image."""
+    most_edges: float
+    """Largest number of samples that count as independent, since neighbours share their errors."""
+    reach_px: float
+    """Half length of the search in the last steps; edges have less weight while the search is longer."""
+    scale: float = SCALE
+    """Geman-McClure scale of a residual over the reach of the search."""
+    px_per_m: float = 0.0
+    """Motion in the image, px, per metre across the line of sight, at the depth of the visible points."""
+    independent: float = 1.0
+    """Share of the samples whose errors are independent; samples close in the image share their pixels."""
+    merged: bool = True
+    """Whether samples are used that the rendering merges with other edges."""
+
+
+class EdgeShifts(NamedTuple):
+    """Sums over inliers for shifts that edges share, towards their darker sides."""
+
+    beside: FloatArray
+    """Normal equations of the inliers beside saturated pixels for residuals of one pixel, shape (35,)."""
+    weight: float
+    """Sum of the weights of these inliers."""
+    pull: float
+    """Sum of their weighted residuals, px."""
+    every: FloatArray
+    """Normal equations of all inliers for residuals of one pixel, shape (35,)."""
+
+
+class EdgeEvidence(NamedTuple):
+    """Statistics of the edge samples."""
+
+    squares_px2: float
+    """Sum of the inliers' squared residuals."""
+    inliers: int
+    """Number of samples within the Geman-McClure scale."""
+    checked: int
+    """Number of samples whose place in the image could be searched."""
+    found: int
+    """Number of the checked samples that are near their place: within ``SCALE`` times the reach."""
+    expected: float
+    """Number of the checked samples that are expected near their place at the right pose."""
+    in_place: FloatArray
+    """Sum of the weights (``add_in_place``) of the found samples, its expectation at the right pose, and the
+    expectation of the sum of squared weights, shape (3,)."""
+    shifted: int
+    """Number of inliers beside saturated pixels."""
+    noise_px2: float
+    """Sum of the variances of the inliers' positions caused by the image's noise."""
+    shifts: EdgeShifts
+    """What shifts that edges share would do."""
+
+
+@kernel
+def add_edge_points(
+    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, errors: EdgeErrors
+) -> EdgeEvidence:
+    """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
+
+    The residual is the distance of the image's steepest change from that of the rendering, which moves with
+    the projected edge. (a, d) is the unit vector across the edge in the image, U are the lens's derivatives
+    with respect to the slopes s, and z is the sample's depth. A displacement x of the sample in sensor axes
+    moves it across the edge by h . x with h = (g_x, g_y, -g . s) / z and g = (a, d) U. In target axes h is
+    k = R^T h. So the residual -place has the normal -k.
+
+    Args:
+        sums: information and gradient, input and output.
+        sight: edges of the model, expected edges, lens and image.
+        pose: pose to linearise at.
+        reach: half length of the search, px.
+        errors: assumed errors of edges.
+    """
+    edges, lens, patch, expected_edges = sight
+    (R, t), places, directions = pose, edges.places_m, edges.directions
+    squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
+    near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
+    of_shifts = np.zeros((3, SUMS))
+    for m in range(len(expected_edges.sample)):
+        if expected_edges.merged[m] and not errors.merged:
+            continue
+        n = expected_edges.sample[m]
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        px, py, pz = in_sensor(R, x, y, z)
+        px, py, pz = px + t[0], py + t[1], pz + t[2]
+        per_z = 1.0 / pz
+        sx, sy = px * per_z, py * per_z
+        at = imaged(sx, sy, lens)
+        towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
+        across, down = across_edge(at, towards, sx, sy)
+        if across == 0.0 and down == 0.0:
+            continue
+        shown = expected_edges.place[m]
+        column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
+        place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
+        if change < 0.0:
+            continue
+        e2 = place * place
+        checked += 1
+        near = change > 0.0 and e2 < near2
+        found += near
+        noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+        share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+        expected += share
+        add_in_place(in_place, share, near)
+        if change == 0.0:
+            continue
+        gx = across * at.column_by_x + down * at.row_by_x
+        gy = across * at.column_by_y + down * at.row_by_y
+        kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
+        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), -place, geman_mcclure(e2, c2))
+        if e2 < c2:
+            inliers += 1
+            squares += e2
+            noise_px2 += noisy_px**2
+            line = Profile(column, row, across, down)
+            edge = SideEdge(Vector(-kx, -ky, -kz), Vector(x, y, z), place, geman_mcclure(e2, c2))
+            shifted += add_to_shifts(of_shifts, edge, patch, line)
+    shifts = EdgeShifts(of_shifts[0], of_shifts[2, 0], of_shifts[2, 1], of_shifts[1])
+    return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
+
+
+class SideEdge(NamedTuple):
+    """An edge whose side is asked for."""
+
+    normal: Vector
+    """Normal of its residual, target axes, px/m."""
+    at: Vector
+    """Its place on the target, target axes, m."""
+    place: float
+    """Its place on the line across it, px."""
+    weight: float
+    """Weight of its residual."""
+
+
+@inner_kernel
+def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Profile) -> int:
+    """Add an edge to the sums of the shifts; return 1 if it lies beside saturated pixels, otherwise 0.
+
+    Args:
+        of_shifts: rows of ``EdgeShifts``: the edges beside saturated pixels, all edges, and in the third row
+            weight and pull, shape (3, 35), input and output.
+        edge: the edge.
+        patch: the image.
+        line: line across the edge.
+    """
+    darker = darker_side(patch, line, edge.place)
+    add_residual(of_shifts[1], edge.normal, edge.at, darker, edge.weight)
+    if not is_beside_saturated(patch, line, edge.place):
+        return 0
+    add_residual(of_shifts[0], edge.normal, edge.at, darker, edge.weight)
+    of_shifts[2, 0] += edge.weight
+    of_shifts[2, 1] -= edge.weight * darker * edge.place
+    return 1
+
+
+@inner_kernel
+def is_beside_saturated(patch: Patch, profile: Profile, place: float) -> bool:
+    """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels."""
+    if not patch.saturated.size:
+        return False
+    column, row, across, down = profile
+    mixed: bool = patch.saturated[int(row + place * down), int(column + place * across)] > 0
+    return mixed
+
+
+@inner_kernel
+def darker_side(patch: Patch, profile: Profile, place: float) -> float:
+    """Return the darker side of an edge: -1 ahead, 1 behind.
+
+    Args:
+        patch: the image.
+        profile: line across the edge.
+        place: place of the edge on it, px.
+    """
+    column, row, across, down = profile
+    ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+    behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+    return -1.0 if ahead < behind else 1.0
+
+
+@inner_kernel
+def share_within(reach: float, own: float, noisy: float) -> float:
+    """Return the share of normal errors within +-``reach``, if their variance is own^2 + noisy^2."""
+    return math.erf(reach / math.sqrt(2.0 * (own * own + noisy * noisy)))
+
+
+class Shifted(NamedTuple):
+    """Covariance and gradients of the errors of edges after the elimination of a shared shift."""
+
+    noisy: FloatArray
+    """Covariance of the gradient by noise of all edges, as sums, shape (35,)."""
+    beside: FloatArray
+    """Gradient for the part of the shift that the fit does not know, of one standard deviation, (6,)."""
+    every: FloatArray
+    """Gradient for a shift of all edges by one pixel towards their darker sides, shape (6,)."""
+
+
+@inner_kernel
+def without_shift(of_edges: FloatArray, shifts: EdgeShifts, per_px2: float) -> Shifted:
+    """Eliminate the shift of edges beside saturated pixels from the sums of the edges, in place.
+
+    The shift d is an unknown with the prior N(0, ``SHIFT_PX``). With the column c of its products with the
+    pose's unknowns, its own information s (that of the residuals, w, and the prior's) and its gradient b, the
+    elimination leaves A - c c^T / s and g - c b / s (Schur complement). With k = c / s, noise of the edges
+    causes the gradient g - k b, whose covariance is A - c k^T - k c^T + w k k^T.
+
+    Args:
+        of_edges: sums over all edges with their weight, shape (35,), input and output.
+        shifts: sums of the shifts, with the weight 1.
+        per_px2: weight of an edge, 1/px2.
+    """
+    noisy, every = of_edges.copy(), per_px2 * gradient_of(shifts.every, 6)
+    column, own = per_px2 * gradient_of(shifts.beside, 6), per_px2 * shifts.weight
+    known, entry = 1.0 / (own + SHIFT_PX**-2), 0
+    for i in range(6):
+        for j in range(i, 6):
+            product = column[i] * column[j] * known
+            of_edges[entry] -= product
+            noisy[entry] -= product * (2.0 - own * known)
+            entry += 1
+        of_edges[entry] -= column[i] * known * per_px2 * shifts.pull
+        entry += 1
+    return Shifted(noisy, column * (known / SHIFT_PX), every - column * (known * own))
