@@ -244,7 +244,7 @@ def cast_inverse(  # noqa: PLR0917
     inverse: Float32Array,
     triangle: NDArray[np.int32],
 ) -> None:
-    """Fill one over the range, 1/m, 0 without a hit, the largest of each ray; arguments as in ``cast_pose``."""
+    """Fill one over the range, 1/m, 0 without a hit (the largest); arguments as in ``cast_pose``."""
     rays = grid.components
     inverse[:] = 0.0
     triangle[:] = -1

@@ -40,7 +40,7 @@ def read_rotation(quaternion: Any) -> Rotation:
 
 
 def _read_quaternion(quaternion: Any) -> list[float]:
-    """Return the checked numbers x, y, z, w; plain floats, since each check of an array takes microseconds."""
+    """Return the checked numbers x, y, z, w: plain ones, since each check of an array takes microseconds."""
     numbers = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     if not all(map(math.isfinite, numbers)):
         raise MessageRejectedError(Reason.NOT_FINITE, "orientation")
