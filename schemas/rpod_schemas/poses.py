@@ -71,6 +71,24 @@ def between(first: RigidTransform, second: RigidTransform, share: float) -> Rigi
     return pose_of(R @ Rotation.from_rotvec(share * step).as_matrix(), position_m)
 
 
+def places_between(first: FloatArray, second: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return the matrices of many poses at shares of their ways, like ``between``, shape (N, 4, 4).
+
+    Args:
+        first: quaternion x, y, z, w and translation of each first pose, shape (N, 7), m.
+        second: those of each second pose, same shape.
+        shares: shape (N,).
+    """
+    R = Rotation.from_quat(first[:, :4]).as_matrix()
+    relative = R.transpose(0, 2, 1) @ Rotation.from_quat(second[:, :4]).as_matrix()
+    step = Rotation.from_matrix(relative, assume_valid=True).as_rotvec()
+    share, matrices = shares[:, None], np.zeros((len(shares), 4, 4))
+    matrices[:, :3, :3] = R @ Rotation.from_rotvec(share * step).as_matrix()
+    matrices[:, :3, 3] = (1.0 - share) * first[:, 4:] + share * second[:, 4:]
+    matrices[:, 3, 3] = 1.0
+    return matrices
+
+
 def _checked_pose(value: Any) -> RigidTransform:
     if isinstance(value, RigidTransform):
         return value

@@ -27,7 +27,6 @@ from rpod_schemas.config.emulator import EmulatorConfig, SensorConfig
 from rpod_schemas.control import Accepted, FaultRequest, StartRequest
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_stamp, read_vector_stamped
-from rpod_schemas.poses import chained
 from rpod_schemas.schedule import DueFrame, Step, frame_at, last_number, lockstep_steps
 from rpod_schemas.topics import CLOCK, REFERENCE, SUN, TRUTH
 from rpod_schemas.types import Health
@@ -228,15 +227,10 @@ class Emulator:
             return
         T_sensor_chaser = channel.sensor.T_chaser_sensor.inv()
         try:
-            poses = [
-                turned(
-                    chained(
-                        T_sensor_chaser, self._truth.pose(frame.stamp_ns + round(offset_s * NANOSECONDS))
-                    ),
-                    active,
-                )
-                for offset_s in channel.sensor.pose_times_s()
+            stamps_ns = [
+                frame.stamp_ns + round(offset_s * NANOSECONDS) for offset_s in channel.sensor.pose_times_s()
             ]
+            poses = [turned(pose, active) for pose in self._truth.poses(stamps_ns, T_sensor_chaser)]
         except TruthGapError as error:
             self._node.health.count(f"truth_gap/{frame.sensor}")
             self._node.health.report(

@@ -149,8 +149,9 @@ class Faults:
 def turned(T_sensor_target: RigidTransform, active: Sequence[Window]) -> RigidTransform:
     """Return the pose at which the target is shown: turned about its x axis by the faults of the scene."""
     angle_deg = sum(window.size or 0.0 for window in active if window.fault.name == "half_turn")
-    turn = make_pose(rotation=Rotation.from_euler("x", angle_deg, degrees=True))
-    return chained(T_sensor_target, turn) if angle_deg else T_sensor_target
+    if not angle_deg:
+        return T_sensor_target
+    return chained(T_sensor_target, make_pose(rotation=Rotation.from_euler("x", angle_deg, degrees=True)))
 
 
 class FaultyNode:

@@ -2,15 +2,17 @@
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.errors import TruthGapError
 from rpod_runtime import Received
 from rpod_schemas.errors import MessageRejectedError, Reason
-from rpod_schemas.messages import NANOSECONDS, read_pose
-from rpod_schemas.poses import between
+from rpod_schemas.messages import NANOSECONDS, read_place
+from rpod_schemas.poses import places_between
 from rpod_schemas.rmw.cdr import peek_stamp
 
 MAX_GAP_S = 0.008
@@ -25,7 +27,8 @@ class TruthBuffer:
 
     keep_s: float = 3.0
     _stamps_ns: deque[int] = field(default_factory=deque)
-    _poses: deque[RigidTransform] = field(default_factory=deque)
+    _places: deque[list[float]] = field(default_factory=deque)
+    """Quaternion x, y, z, w and translation of each sample, m."""
 
     @property
     def first_ns(self) -> int | None:
@@ -53,25 +56,38 @@ class TruthBuffer:
         if latest_ns is not None and stamp_ns > latest_ns + _MAX_AHEAD_NS:
             ahead_s = (stamp_ns - latest_ns) / NANOSECONDS
             raise MessageRejectedError(Reason.FUTURE, f"truth is {ahead_s:.3f} s ahead of its arrival")
-        self._poses.append(read_pose(received.decode().pose.pose))
+        self._places.append(read_place(received.decode().pose.pose))
         self._stamps_ns.append(stamp_ns)
         while stamp_ns - self._stamps_ns[0] > self.keep_s * NANOSECONDS:
             self._stamps_ns.popleft()
-            self._poses.popleft()
+            self._places.popleft()
 
-    def pose(self, stamp_ns: int) -> RigidTransform:
-        """Return T_chaser_target at a stamp: linear in position, spherical in attitude.
+    def poses(
+        self, stamps_ns: Sequence[int], T_sensor_chaser: RigidTransform | None = None
+    ) -> list[RigidTransform]:
+        """Return T_chaser_target at stamps, or T_sensor_target: linear in position, spherical in attitude.
+
+        All at once, since for each array the overhead of SciPy is larger than the computation.
 
         Raises:
-            TruthGapError: the samples around the stamp are too far apart, or missing.
+            TruthGapError: the samples around a stamp are too far apart, or missing.
         """
+        around = [self._around(stamp_ns) for stamp_ns in stamps_ns]
+        first = np.array([self._places[before] for before, _, _ in around])
+        second = np.array([self._places[after] for _, after, _ in around])
+        matrices = places_between(first, second, np.array([share for _, _, share in around]))
+        if T_sensor_chaser is not None:
+            matrices = T_sensor_chaser.as_matrix() @ matrices
+        return list(RigidTransform(matrices, normalize=False, copy=False))
+
+    def _around(self, stamp_ns: int) -> tuple[int, int, float]:
+        """Return the samples before and after a stamp, and its share of the way between them."""
         after = bisect_left(self._stamps_ns, stamp_ns)
         if after < len(self._stamps_ns) and self._stamps_ns[after] == stamp_ns:
-            return self._poses[after]
+            return after, after, 0.0
         if not 0 < after < len(self._stamps_ns):
             raise TruthGapError(stamp_ns, MAX_GAP_S)
         before_ns, after_ns = self._stamps_ns[after - 1], self._stamps_ns[after]
         if after_ns - before_ns > MAX_GAP_S * NANOSECONDS:
             raise TruthGapError(stamp_ns, (after_ns - before_ns) / NANOSECONDS)
-        share = (stamp_ns - before_ns) / (after_ns - before_ns)
-        return between(self._poses[after - 1], self._poses[after], share)
+        return after - 1, after, (stamp_ns - before_ns) / (after_ns - before_ns)

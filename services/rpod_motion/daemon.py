@@ -2,7 +2,6 @@
 
 import logging
 import time
-from collections.abc import Iterator
 from threading import Event
 
 from rpod_motion.errors import MotionError
@@ -36,6 +35,9 @@ _LONGEST_TAIL_S = 0.9
 """Longest duration of truth after the end in lockstep; the motion is defined a little longer than that."""
 
 _LONGEST_WAIT_S = 1.0
+_TOGETHER = 0.5
+"""Share of the lead over which ticks are published together. Each message wakes a thread in the router and in
+each receiver, which takes longer than to read it."""
 _OVERDUE_S = 1.0
 """Longest span of truth that is published at once after a late start; receivers keep 2 s or more of it."""
 
@@ -148,19 +150,23 @@ def _present(truth: TruthPublisher, first: int) -> int:
 
 
 def _play_by_the_wall(node: Node, truth: TruthPublisher, ticks: range, *, lead_s: float) -> None:
-    """Publish each tick ``lead_s`` before its time; overdue ticks follow without a pause."""
-    for tick in _paced(node.stop, truth, ticks, lead_s=lead_s):
-        truth.publish(tick)
+    """Publish each tick at most ``lead_s`` before its time; overdue ticks follow without a pause."""
+    period_s = (truth.stamp_ns(1) - truth.stamp_ns(0)) / NANOSECONDS
+    together = 1 + int(_TOGETHER * lead_s / period_s)
+    for first in range(0, len(ticks), together):
+        group = ticks[first : first + together]
+        if not _awaited(node.stop, truth.stamp_ns(group[-1]), lead_s=lead_s):
+            return
+        for tick in group:
+            truth.publish(tick)
     node.stop.wait(lead_s)
 
 
-def _paced(stop: Event, truth: TruthPublisher, ticks: range, *, lead_s: float) -> Iterator[int]:
-    for tick in ticks:
+def _awaited(stop: Event, stamp_ns: int, *, lead_s: float) -> bool:
+    """Wait until ``lead_s`` before a stamp; return False if the service is stopped."""
+    manager.alive()
+    while (wait_s := (stamp_ns - time.time_ns()) / NANOSECONDS - lead_s) > 0:
+        if stop.wait(min(wait_s, _LONGEST_WAIT_S)):
+            return False
         manager.alive()
-        while (wait_s := (truth.stamp_ns(tick) - time.time_ns()) / NANOSECONDS - lead_s) > 0:
-            if stop.wait(min(wait_s, _LONGEST_WAIT_S)):
-                return
-            manager.alive()
-        if stop.is_set():
-            return
-        yield tick
+    return not stop.is_set()

@@ -190,6 +190,15 @@ def cast(
     return hits
 
 
+def cast_triangles(
+    grid: RayGrid, triangles_m: FloatArray, T_sensor_target: RigidTransform, *, out: Hits, cull: bool
+) -> None:
+    """Fill the triangle that each ray hits first, like ``cast``; the ranges of ``out`` are undefined then."""
+    pose = T_sensor_target.as_matrix()
+    R, t = pose[:3, :3].copy(), pose[:3, 3].copy()
+    cast_inverse(grid.arrays, triangles_m, R, t, cull, out.range_m, out.triangle)
+
+
 def _envelope(slope: FloatArray) -> Envelope:
     """Return non-decreasing lower and upper bounds of the slopes in each line, shape (lines, rays)."""
     behind = np.isnan(slope).any(axis=1)
@@ -221,8 +230,22 @@ def cast_pose(  # noqa: PLR0917
         range_m: output, shape (rows, columns), m.
         triangle: output, shape (rows, columns).
     """
+    cast_inverse(grid, triangles, R, t, cull, range_m, triangle)
+    range_m[:] = 1.0 / range_m
+
+
+@kernel
+def cast_inverse(  # noqa: PLR0917
+    grid: GridArrays,
+    triangles: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+    cull: bool,
+    inverse: Float32Array,
+    triangle: NDArray[np.int32],
+) -> None:
+    """Fill one over the range, 1/m, 0 without a hit (the largest); arguments as in ``cast_pose``."""
     rays = grid.components
-    inverse = range_m  # 1 / range until the end: the largest wins, and nothing is divided
     inverse[:] = 0.0
     triangle[:] = -1
     columns = lines_of(grid.column_lower, grid.column_upper)
@@ -251,7 +274,6 @@ def cast_pose(  # noqa: PLR0917
             else:
                 spans[top:bottom, 0], spans[top:bottom, 1] = left, right
             _draw(rays, side, face, spans, inverse, triangle)
-    range_m[:] = 1.0 / inverse
 
 
 class _Face(NamedTuple):

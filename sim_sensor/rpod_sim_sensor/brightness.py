@@ -45,7 +45,7 @@ class Renderer:
         self._centres = RayGrid.pinhole(camera).in_single_precision()
         self._scene = Scene(scenery(target, (), RigidTransform.identity()), 0)
         self._hits = Hits.of(self._rays)
-        self._fragments = Fragments.of(self._rays.shape[1] * subsamples)
+        self._fragments = Fragments.of(self._rays.shape[1] * subsamples, 0)
         self._modulated = np.empty((0, *self._centres.shape), np.float32)
 
     def render(self, T_optical_target: RigidTransform, illumination: Illumination) -> Float32Array:

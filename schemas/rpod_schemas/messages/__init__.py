@@ -6,6 +6,7 @@ the reason under which the message is counted. ``write_*`` are their inverses. A
 
 from rpod_schemas.messages.geometry import (
     read_odometry,
+    read_place,
     read_pose,
     read_transforms,
     read_vector_stamped,
@@ -66,6 +67,7 @@ __all__ = [
     "read_joints",
     "read_lidar_info",
     "read_odometry",
+    "read_place",
     "read_pmd_info",
     "read_points",
     "read_pose",

@@ -9,7 +9,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import Hits, RayGrid, cast
+from rpod_geometry.rays import Hits, RayGrid, cast, cast_triangles
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLES, PmdConfig
 from rpod_schemas.config.surroundings import Thing
@@ -100,7 +100,7 @@ class PmdEmulator:
         self._electronics = Electronics.of(config)
         self._hits = Hits.of(self._rays)
         self._still = cast(self._rays, self._seen.still_m, RigidTransform.identity())
-        self._fragments = Fragments.of(self._rays.shape[1] * config.subsamples)
+        self._fragments = Fragments.of(self._rays.shape[1] * config.subsamples, config.sub_exposures)
         height, width = self._centres.shape
         self._charge_e = np.empty((height, width), np.float32)
         self._modulated_e = np.empty((config.sub_exposures, height, width), np.float32)
@@ -144,8 +144,10 @@ class PmdEmulator:
         middle = len(poses) // 2
         T_middle = _between(poses[middle - 1], poses[middle])
         moving_m, closed = self._seen.moving.triangles_m, self._seen.is_closed
-        cast(self._rays, moving_m, T_middle, out=self._hits, cull_back_faces=closed)
-        if len(self._seen.still_m):
+        if not len(self._seen.still_m):
+            cast_triangles(self._rays, moving_m, T_middle, out=self._hits, cull=closed)
+        else:
+            cast(self._rays, moving_m, T_middle, out=self._hits, cull_back_faces=closed)
             nearer = self._still.range_m < self._hits.range_m
             np.copyto(self._hits.triangle, self._still.triangle + np.int32(len(moving_m)), where=nearer)
         modulated_e, charge_e = self._modulated_e, self._charge_e

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from rpod_geometry.kernels import inner_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.types import Float32Array
@@ -70,13 +70,28 @@ class Fragments(NamedTuple):
     """All electrons."""
     modulated_e: FloatArray
     """Correlation with the modulation in one sub-exposure."""
+    later: FloatArray
+    """Inverse of the distance in each sub-exposure, 1/m, shape (K, F)."""
 
     @classmethod
-    def of(cls, rays: int) -> "Fragments":
+    def of(cls, rays: int, sub_exposures: int) -> "Fragments":
         """Return buffers for a row with the given number of rays."""
         columns, triangle = np.empty((2, rays), np.uint32)
-        single, triple = np.empty((5, rays)), np.empty((3, 3, rays))
-        return cls(columns, triangle, triple[0], single[0], single[1], triple[1], triple[2], *single[2:])
+        ray, normal, material = np.empty((3, 3, rays))
+        weight, inverse, lamp_e, charge_e, modulated_e = np.empty((5, rays))
+        return cls(
+            columns=columns,
+            triangle=triangle,
+            ray=ray,
+            weight=weight,
+            inverse=inverse,
+            normal=normal,
+            material=material,
+            lamp_e=lamp_e,
+            charge_e=charge_e,
+            modulated_e=modulated_e,
+            later=np.empty((sub_exposures, rays)),
+        )
 
 
 def lights(config: PmdConfig, sun_W_m2: FloatArray) -> Lights:
@@ -159,37 +174,40 @@ def _collect(  # noqa: PLR0917
     """Fill the electrons that each pixel collects; arguments as in ``collect``."""
     modulated_e[:] = 0.0
     charge_e[:] = 0.0
-    columns = fragments.columns
+    width = charge_e.shape[1]
+    owned = np.empty((2, width), np.int32)
     for row in range(charge_e.shape[0]):
-        count = _list(every, row, surfaces, fragments)
+        count = _list(every, row, surfaces, fragments, owned)
         if count:
             _look_up(fragments, count, surfaces)
             _shade(fragments, count, lights)
-            for f in range(count):
-                charge_e[row, columns[f]] += fragments.charge_e[f]
+            _add(fragments.charge_e, fragments.columns, count, charge_e[row])
             for k in range(modulated_e.shape[0]):
-                _correlate(k, fragments, count, surfaces.planes, lights)
-                for f in range(count):
-                    modulated_e[k, row, columns[f]] += fragments.modulated_e[f]
+                _correlate(k, fragments, count, lights)
+                _add(fragments.modulated_e, fragments.columns, count, modulated_e[k, row])
 
 
-@inner_kernel
-def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> int:
-    """List the fragments of a row of pixels, and place their triangles; return the number of fragments."""
-    owners, _, centres = every
-    width = centres.shape[2]
-    n = owners.shape[1] // width
+@inlined_kernel
+def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments, owned: NDArray[np.int32]) -> int:
+    """List the fragments of a row of pixels, and place their triangles; return the number of fragments.
+
+    ``owned`` is memory of shape (2, W).
+    """
+    centres, width = every.centres, every.centres.shape[2]
+    n = every.owners.shape[1] // width
     placed, frame = surfaces.placed, surfaces.frame
     columns, index, ray, weight = fragments.columns, fragments.triangle, fragments.ray, fragments.weight
+    _fill_owned(every.owners, row, n, owned)
     count = 0
     for column in range(width):
+        if owned[1, column] < 0:
+            continue
         first = count
-        if _is_uniform(owners, row * n, column * n, n):
-            if owners[row * n, column * n] >= 0:
-                index[count], weight[count] = owners[row * n, column * n], 1.0
-                for axis in range(3):
-                    ray[axis, count] = centres[axis, row, column]
-                count += 1
+        if owned[0, column] == owned[1, column]:
+            index[count], weight[count] = owned[0, column], 1.0
+            for axis in range(3):
+                ray[axis, count] = centres[axis, row, column]
+            count += 1
         else:
             count = _mixed(every, _Pixel(row * n, column * n, n), count, fragments)
         for f in range(first, count):
@@ -200,16 +218,35 @@ def _list(every: _Rays, row: int, surfaces: Surfaces, fragments: Fragments) -> i
 
 
 @inner_kernel
-def _is_uniform(owners: NDArray[np.int32], top: int, left: int, n: int) -> bool:
-    """Return whether all n x n rays of a pixel hit one triangle, or none; owners of shape (rows, columns)."""
-    for i in range(top, top + n):
-        for j in range(left, left + n):
-            if owners[i, j] != owners[top, left]:
-                return False
-    return True
+def _fill_owned(owners: NDArray[np.int32], row: int, n: int, owned: NDArray[np.int32]) -> None:
+    """Fill the least and the greatest triangle that the n x n rays of a row's pixels hit, shape (2, W)."""
+    least, most = owned[0], owned[1]
+    if n == 2:  # the usual number: a loop of fixed steps, which is vectorised
+        above, below = owners[2 * row], owners[2 * row + 1]
+        for column in range(least.size):
+            a, b = above[2 * column], above[2 * column + 1]
+            c, d = below[2 * column], below[2 * column + 1]
+            least[column], most[column] = min(a, b, c, d), max(a, b, c, d)
+        return
+    for column in range(least.size):
+        pixel = owners[row * n : (row + 1) * n, column * n : (column + 1) * n]
+        least[column], most[column] = pixel.min(), pixel.max()
 
 
 @inner_kernel
+def _add(values: FloatArray, columns: NDArray[np.uint32], count: int, line: Float32Array) -> None:
+    """Add the values of a row's fragments to its pixels, shape (W,), one stretch of neighbours at a time."""
+    begin, one = np.uint64(0), np.uint64(1)
+    while begin < count:
+        first, end = np.uint64(columns[begin]), begin + one
+        while end < count and columns[end] == first + (end - begin):
+            end += one
+        for f in range(begin, end):
+            line[first + (f - begin)] += values[f]
+        begin = end
+
+
+@inlined_kernel
 def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int:
     """Add a fragment for each triangle in a pixel, with the mean of its rays; return the count."""
     owners, rays, (top, left, n) = every.owners, every.directions, pixel
@@ -239,21 +276,41 @@ def _mixed(every: _Rays, pixel: _Pixel, count: int, fragments: Fragments) -> int
 @inner_kernel
 def _look_up(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
     """Fill distance, normal and material of a row's fragments."""
-    index, inverse, material = fragments.triangle, fragments.inverse, fragments.material
+    index, inverse, later = fragments.triangle, fragments.inverse, fragments.later
     x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
-    n_x, n_y, n_z = fragments.normal[0], fragments.normal[1], fragments.normal[2]
-    planes, normals, kinds = surfaces.planes, surfaces.far_normals, surfaces.material
-    materials, R, t = surfaces.materials, surfaces.R_lattice_optical, surfaces.t_lattice_optical
+    normal, material, planes = fragments.normal, fragments.material, surfaces.planes
+    far_normals, materials, kinds = surfaces.far_normals, surfaces.materials, surfaces.material
+    crinkles = False
     for f in range(count):
         i, kind = index[f], kinds[index[f]]
         inverse[f] = planes[i, 0, 0] * x[f] + planes[i, 0, 1] * y[f] + planes[i, 0, 2] * z[f]
-        n_x[f], n_y[f], n_z[f] = normals[i, 0], normals[i, 1], normals[i, 2]
-        material[0, f], material[1, f] = materials[kind, 0], materials[kind, 1]
-        material[2, f] = materials[kind, 2]
-        if materials[kind, 4] > 0.0:
-            far_m, per_m, tilt_rad = 1.0 / inverse[f], float(materials[kind, 3]), float(materials[kind, 4])
-            a, b, c = crinkled(x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, per_m, tilt_rad)
-            n_x[f], n_y[f], n_z[f] = _unit(n_x[f] + a, n_y[f] + b, n_z[f] + c)
+        for axis in range(3):
+            normal[axis, f], material[axis, f] = far_normals[i, axis], materials[kind, axis]
+        crinkles |= materials[kind, 4] > 0.0
+    for k in range(later.shape[0]):
+        for f in range(count):
+            i = index[f]
+            later[k, f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
+    if crinkles:
+        _crinkle(fragments, count, surfaces)
+
+
+@inner_kernel
+def _crinkle(fragments: Fragments, count: int, surfaces: Surfaces) -> None:
+    """Tilt the normals of a row's fragments of crinkled materials."""
+    x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
+    inverse, normal = fragments.inverse, fragments.normal
+    R, t = surfaces.R_lattice_optical, surfaces.t_lattice_optical
+    index, kinds, materials = fragments.triangle, surfaces.material, surfaces.materials
+    for f in range(count):
+        kind = kinds[index[f]]
+        per_m, tilt_rad = float(materials[kind, 3]), float(materials[kind, 4])
+        if tilt_rad <= 0.0:
+            continue
+        far_m = 1.0 / inverse[f]
+        a, b, c = crinkled(x[f] * far_m, y[f] * far_m, z[f] * far_m, R, t, per_m, tilt_rad)
+        a, b, c = normal[0, f] + a, normal[1, f] + b, normal[2, f] + c
+        normal[0, f], normal[1, f], normal[2, f] = _unit(a, b, c)
 
 
 @inner_kernel
@@ -283,19 +340,14 @@ def _shade(fragments: Fragments, count: int, lights: Lights) -> None:
 
 
 @inner_kernel
-def _correlate(k: int, fragments: Fragments, count: int, planes: Float32Array, lights: Lights) -> None:
-    """Fill the electrons of a row's fragments in sub-exposure k; planes of shape (triangles, 1 + K, 3)."""
-    index, inverse = fragments.triangle, fragments.inverse
+def _correlate(k: int, fragments: Fragments, count: int, lights: Lights) -> None:
+    """Fill the electrons of a row's fragments in sub-exposure k."""
+    inverse, later = fragments.inverse, fragments.later[k]
     lamp_e, modulated_e = fragments.lamp_e, fragments.modulated_e
-    x, y, z = fragments.ray[0], fragments.ray[1], fragments.ray[2]
     turns_per_m, theta, h3 = lights.turns_per_m[k], lights.theta_turns[k], lights.wiggling_share
     for f in range(count):
-        i = index[f]
-        modulated_e[f] = planes[i, 1 + k, 0] * x[f] + planes[i, 1 + k, 1] * y[f] + planes[i, 1 + k, 2] * z[f]
-    for f in range(count):  # separate from the look-up above, so that it is vectorised
-        now = modulated_e[f]
         # the plane of a triangle seen almost edge-on may pass through the camera
-        now = now if 0.5 * inverse[f] < now < 2.0 * inverse[f] else inverse[f]
+        now = later[f] if 0.5 * inverse[f] < later[f] < 2.0 * inverse[f] else inverse[f]
         wave = _cosine(turns_per_m / now - theta)
         third = wave * (4.0 * wave * wave - 3.0)  # cos 3x
         modulated_e[f] = lamp_e[f] * now * now * (wave + h3 * third)

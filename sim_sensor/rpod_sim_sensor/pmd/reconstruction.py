@@ -13,7 +13,7 @@ from scipy import constants
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_schemas.arrays import Array, FloatArray
-from rpod_schemas.config.pmd import SAMPLE_OFFSET, PmdConfig
+from rpod_schemas.config.pmd import SAMPLE_OFFSET, SAMPLES, PmdConfig
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.pmd.unwrapping import Turns, unwrap_pixel
 
@@ -166,36 +166,43 @@ def _reconstruct(  # noqa: PLR0917
     frequencies, height, width, _ = samples.shape
     depth_m, strengths, losses = images
     wrapped, strength, lost = np.empty((2, width)), np.empty(width), np.empty(width, np.int64)
+    metres, planes = np.empty(width), np.empty((SAMPLES, width))
     for row in range(height):
         strength[:] = 0.0
         for column in range(width):
             lost[column] = _SATURATED if full[row, column] else 0
         for frequency in range(frequencies):
-            _mark_row(samples[frequency, row], limits, wrapped[frequency], strength, lost)
+            _mark_row(samples[frequency, row], limits, planes, wrapped[frequency], strength, lost)
         for column in range(width):
-            metres = wrapped[0, column] * turns.first_m
-            if frequencies > 1 and lost[column] == 0:
-                second_m = wrapped[1, column] * turns.second_m
-                metres, disagreement = unwrap_pixel(metres, second_m, turns)
-                lost[column] = _INCONSISTENT if disagreement > limits.disagreement else 0
-            depth_m[row, column] = np.nan if lost[column] else metres * cosine[row, column]
+            metres[column] = wrapped[0, column] * turns.first_m
+        if frequencies > 1:
+            _unwrap_row(wrapped[1], turns, limits, metres, lost)
+        for column in range(width):
+            depth_m[row, column] = np.nan if lost[column] else metres[column] * cosine[row, column]
             strengths[row, column] = int(strength[column] / frequencies + 0.5)
             losses[row, column] = lost[column]
 
 
 @inner_kernel
-def _mark_row(
+def _mark_row(  # noqa: PLR0917
     samples: NDArray[np.uint16],
     limits: _Limits,
+    planes: FloatArray,
     wrapped: FloatArray,
     strength: FloatArray,
     lost: NDArray[np.int64],
 ) -> None:
-    """Fill a row's phases in turns, (W,), add its amplitudes, and mark the pixels without depth."""
+    """Fill a row's phases in turns, (W,), add its amplitudes, and mark the pixels without depth.
+
+    ``planes`` is memory of shape (4, W). A loop over interleaved samples takes four times as long as three
+    loops, of which the first one separates them.
+    """
     offset = np.float64(SAMPLE_OFFSET)
     for column in range(wrapped.size):
-        q1, q2 = samples[column, 0] - offset, samples[column, 1] - offset
-        q3, q4 = samples[column, 2] - offset, samples[column, 3] - offset
+        for k in range(SAMPLES):
+            planes[k, column] = samples[column, k] - offset
+    for column in range(wrapped.size):
+        q1, q2, q3, q4 = planes[0, column], planes[1, column], planes[2, column], planes[3, column]
         size = _amplitude_of(q1, q2, q3, q4)
         strength[column] += size
         strongest = max(abs(q1), abs(q2), abs(q3), abs(q4))
@@ -204,7 +211,22 @@ def _mark_row(
             | (_SATURATED if strongest >= limits.saturation else 0)
             | (_INCONSISTENT if _asymmetry_of(q1, q2, q3, q4) > limits.asymmetry * size else 0)
         )
-        wrapped[column] = phase_turns(q1, q2, q3, q4)
+    for column in range(wrapped.size):
+        wrapped[column] = phase_turns(
+            planes[0, column], planes[1, column], planes[2, column], planes[3, column]
+        )
+
+
+@inner_kernel
+def _unwrap_row(
+    wrapped: FloatArray, turns: Turns, limits: _Limits, metres: FloatArray, lost: NDArray[np.int64]
+) -> None:
+    """Unwrap a row's distances by the phases of the second frequency, shape (W,) each."""
+    for column in range(wrapped.size):
+        if lost[column] == 0:
+            second_m = wrapped[column] * turns.second_m
+            metres[column], disagreement = unwrap_pixel(metres[column], second_m, turns)
+            lost[column] = _INCONSISTENT if disagreement > limits.disagreement else 0
 
 
 @kernel

@@ -44,7 +44,7 @@ def light_of(
         ALONG_Z,
         Scene(scenery(plate, (), NO_MOUNT), 4).placed(pose, [pose] * 4),  # type: ignore[arg-type]
         lights(config, sun_W_m2),
-        fragments=Fragments.of(1),
+        fragments=Fragments.of(1, 4),
         modulated_e=modulated_e,
         charge_e=charge_e,
     )
@@ -98,7 +98,7 @@ def test_a_pixel_that_meets_nothing_collects_nothing() -> None:
         ALONG_Z,
         surfaces,
         lit,
-        fragments=Fragments.of(4),
+        fragments=Fragments.of(4, 4),
         modulated_e=modulated_e,
         charge_e=charge_e,
     )
