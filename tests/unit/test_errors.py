@@ -30,6 +30,7 @@ FACTS = {
     "bool | None": None,
     "list[str]": ["one", "two"],
     "Sequence[str]": ("one", "two"),
+    "Mapping[str, str]": {"chaser": "estimate/odometry", "world": "truth/odometry"},
     "object": 3.0,
     "Exception": OSError(28, "No space left on device"),
     "Reason": Reason.LATE,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from rpod_pose.lidar.scan_view import SeenScan
 from rpod_schemas.arrays import FloatArray
@@ -53,7 +53,7 @@ def lone_returns(seen: SeenScan, agreeing: NDArray[np.bool_]) -> Lone:
     count, lone = np.count_nonzero(agreeing), np.count_nonzero(agreeing & alone)
     if lone == count:
         return Lone(places, len(places))
-    share = float(beta.ppf(SURE, lone + 1, count - lone))
+    share = float(betaincinv(lone + 1, count - lone, SURE))
     of_surfaces = (np.count_nonzero(contradicting & ~alone) + UNSEEN) * share / (1.0 - share)
     return Lone(places, min(len(places), ceil(of_surfaces)))
 
