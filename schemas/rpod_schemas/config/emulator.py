@@ -112,8 +112,9 @@ class MotionServiceConfig(ServiceConfig):
     """Time before the epoch from which truth is published, s; exposures around the epoch need it. The motion
     is defined from a second before the epoch on."""
     lead_s: NonNegative = 0.02
-    """Time before its stamp at which truth is published on the wall clock, s, so that emulated sensors are
-    ready when real ones would be. It has no effect in lockstep."""
+    """Longest time before its stamp at which truth is published on the wall clock, s: emulated sensors
+    are then ready when real ones would be. Ticks within half of it are published together. No effect in
+    lockstep."""
 
     @model_validator(mode="after")
     def _rates_divide_that_of_the_truth(self) -> Self:

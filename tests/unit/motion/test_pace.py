@@ -28,6 +28,20 @@ class Clock:
         return self.now_ns
 
 
+def test_ticks_that_span_half_the_lead_are_published_together_and_none_before_its_lead(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(daemon, "time", clock)
+    begin_ns, ahead_ms = clock.now_ns + SECOND_NS, []
+    truth = SimpleNamespace(
+        publish=lambda tick: ahead_ms.append((begin_ns + 4_000_000 * tick - clock.now_ns) / 1e6),
+        stamp_ns=lambda tick: begin_ns + 4_000_000 * tick,
+    )
+    daemon._play_by_the_wall(SimpleNamespace(stop=clock), truth, range(7), lead_s=0.02)  # type: ignore[arg-type]
+    assert ahead_ms == pytest.approx([12.0, 16.0, 20.0, 12.0, 16.0, 20.0, 20.0], abs=1e-3)
+
+
 @pytest.mark.parametrize("lead_s", [0.0, 400.0])
 def test_truth_comes_so_long_before_its_stamp_and_the_play_ends_at_the_last_one(
     lead_s: float, monkeypatch: pytest.MonkeyPatch
