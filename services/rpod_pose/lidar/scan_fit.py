@@ -179,9 +179,10 @@ class ScanModel:
         The pose has to explain those lone returns that may be of surfaces. In the result all are left out,
         since they would pull the pose. The arguments are those of ``fit``.
         """
-        if not self.fit(seen, R, t).agreement.agreeing:
-            return None
+        cast_faces(seen.grid.arrays, self._faces, R, t, self._view.hits.arrays)
         lone = lone_returns(seen, self._agreeing(seen, R))
+        if lone.of_surfaces == len(lone.places):
+            return None
         likely = seen.without(lone.places[lone.of_surfaces :])
         fits = self.fit(likely, R, t), self._pessimistic_fit(likely, R, t)
         explained = any(self._explains(self._evidence(fit, likely.returns)) for fit in fits)
