@@ -142,25 +142,18 @@ def test_scenario_and_seed_come_from_the_services_configuration(tmp_path):
     assert summary.duration_s == pytest.approx(2.016)
 
 
-def test_an_estimate_in_another_frame_than_the_truth_is_an_error(tmp_path, monkeypatch):
-    monkeypatch.setattr("synthetic_log.CHASER", "servicer")
-    path = SyntheticRun(with_truth=False).write(tmp_path / "run.mcap")
-    monkeypatch.undo()
-    other = SyntheticRun(with_estimates=False).write(tmp_path / "truth.mcap")
-    with open_log(path, other) as log, pytest.raises(FramesDifferError) as raised:
-        stream_run(log)
-    assert "truth/odometry in frame 'chaser'" in str(raised.value)
-    assert "estimate/odometry in frame 'servicer'" in str(raised.value)
-
-
-def test_the_topic_of_each_frame_of_reference_is_named_whatever_the_frames_are_called(tmp_path, monkeypatch):
-    monkeypatch.setattr("synthetic_log.CHASER", "workshop")
+@pytest.mark.parametrize(("of_truth", "of_estimates"), [("chaser", "servicer"), ("workshop", "chaser")])
+def test_frames_of_reference_that_differ_are_an_error_with_a_topic_of_each(
+    tmp_path, monkeypatch, of_truth, of_estimates
+):
+    monkeypatch.setattr("synthetic_log.CHASER", of_truth)
     truth = SyntheticRun(with_estimates=False).write(tmp_path / "truth.mcap")
-    monkeypatch.undo()
+    monkeypatch.setattr("synthetic_log.CHASER", of_estimates)
     path = SyntheticRun(with_truth=False).write(tmp_path / "run.mcap")
     with open_log(path, truth) as log, pytest.raises(FramesDifferError) as raised:
         stream_run(log)
-    assert "truth/odometry in frame 'workshop'" in str(raised.value)
+    assert f"truth/odometry in frame {of_truth!r}" in str(raised.value)
+    assert f"estimate/odometry in frame {of_estimates!r}" in str(raised.value)
 
 
 def icd_fields():
