@@ -12,6 +12,7 @@ positive for any coefficients c, and c = 0 is the declared inertia. If one momen
 is about 0.8 e.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -54,6 +55,13 @@ class Inertia:
         used = _BASIS[: len(coefficients)]
         shaped: FloatArray = moments * np.exp(coefficients @ used)
         return Shape((axes * shaped) @ axes.T, (axes * (used * shaped)[:, None]) @ axes.T)
+
+    def matrices(self, coefficients: FloatArray) -> FloatArray:
+        """Return the inertias for P coefficients, shape (P, 2) or (P, 0), as matrices, shape (P, 3, 3)."""
+        moments, axes = self._principal
+        shaped = moments * np.exp(coefficients @ _BASIS[: coefficients.shape[1]])
+        inertias: FloatArray = (axes * shaped[:, None]) @ axes.T
+        return inertias
 
 
 class Shape(NamedTuple):
@@ -125,13 +133,7 @@ def torque_free(rate_rad_s: FloatArray, shape: Shape, step_s: float) -> Turned:
     start[0, :, :3] = np.eye(3)
     y = np.concatenate([[0.0, 0.0, 0.0, 1.0], rate_rad_s, start.ravel()])
     steps = max(1, int(np.ceil(float(np.linalg.norm(rate_rad_s)) * step_s / _STEP_RAD)))
-    h, slope = step_s / steps, _Integration(shape).slope
-    for _ in range(steps):
-        k1 = slope(y)
-        k2 = slope(y + 0.5 * h * k1)
-        k3 = slope(y + 0.5 * h * k2)
-        k4 = slope(y + h * k3)
-        y = y + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    y = _integrated(y, _Integration(shape).slope, step_s, steps)
     by_all = y[7:].reshape(2, 3, count)
     return Turned(
         turn=_matrix(y[:4]),
@@ -178,37 +180,43 @@ def curvature(
     first, second = np.triu_indices(count, 1)
     pairs = steps[first] + steps[second]
     points = np.concatenate([np.zeros((1, len(root))), steps, -steps, pairs, -pairs])
-    J = np.array([inertia.shaped(coefficients + point[3:]).J for point in points])
-    turns, rates = _turned(rate_rad_s + points[:, :3], J, step_s)
-    off = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
-    change = np.hstack([off, rates - rates[0]])[1:]
+    turns, rates = _turned(rate_rad_s + points[:, :3], inertia.matrices(coefficients + points[:, 3:]), step_s)
+    change = np.hstack([(turns[0].inv() * turns).as_rotvec(), rates - rates[0]])[1:]
     own = change[:count] + change[count : 2 * count]
     mixed = change[2 * count :].reshape(2, -1, 6).sum(axis=0) - own[first] - own[second]
     return Curvature(own.sum(axis=0) / 6.0, np.concatenate([own / np.sqrt(18.0), mixed / 6.0]).T)
 
 
-def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return turns, shape (P, 3, 3), and rates, shape (P, 3), of P bodies after a step without torque."""
+def _turned(rates_rad_s: FloatArray, J: FloatArray, step_s: float) -> tuple[Rotation, FloatArray]:
+    """Return P turns, and the rates at the end, shape (P, 3), of P bodies in a step without torque."""
     inverse = np.linalg.inv(J)
 
-    def slope(q: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        momentum = np.einsum("pij,pj->pi", J, w)
-        torque = -np.cross(w, momentum)
-        vector = q[:, 3:] * w + np.cross(q[:, :3], w)
-        scalar = -np.einsum("pi,pi->p", q[:, :3], w)
-        return 0.5 * np.hstack([vector, scalar[:, None]]), np.einsum("pij,pj->pi", inverse, torque)
+    def slope(y: FloatArray) -> FloatArray:
+        """Return dy/dt of y = (quaternion x y z w, rate), shape (7, P)."""
+        vector, scalar, w = y[:3], y[3], y[4:]
+        momentum = np.einsum("pij,jp->ip", J, w)
+        change = np.einsum("pij,jp->ip", inverse, np.cross(momentum, w, axis=0))
+        turning = 0.5 * (scalar * w + np.cross(vector, w, axis=0))
+        return np.concatenate([turning, -0.5 * (vector * w).sum(axis=0, keepdims=True), change])
 
-    q, w = np.tile([0.0, 0.0, 0.0, 1.0], (len(J), 1)), rates_rad_s
-    steps = max(1, int(np.ceil(float(np.linalg.norm(w, axis=1).max()) * step_s / _STEP_RAD)))
+    y = np.vstack([np.tile([[0.0], [0.0], [0.0], [1.0]], len(J)), rates_rad_s.T])
+    fastest_rad_s = float(np.linalg.norm(rates_rad_s, axis=1).max())
+    y = _integrated(y, slope, step_s, max(1, int(np.ceil(fastest_rad_s * step_s / _STEP_RAD))))
+    return Rotation.from_quat(y[:4].T), y[4:].T
+
+
+def _integrated(
+    y: FloatArray, slope: Callable[[FloatArray], FloatArray], step_s: float, steps: int
+) -> FloatArray:
+    """Return y after a step, by the method of Runge and Kutta in a number of equal parts."""
     h = step_s / steps
     for _ in range(steps):
-        a = slope(q, w)
-        b = slope(q + 0.5 * h * a[0], w + 0.5 * h * a[1])
-        c = slope(q + 0.5 * h * b[0], w + 0.5 * h * b[1])
-        d = slope(q + h * c[0], w + h * c[1])
-        q = q + h / 6.0 * (a[0] + 2.0 * (b[0] + c[0]) + d[0])
-        w = w + h / 6.0 * (a[1] + 2.0 * (b[1] + c[1]) + d[1])
-    return Rotation.from_quat(q).as_matrix(), w
+        k1 = slope(y)
+        k2 = slope(y + 0.5 * h * k1)
+        k3 = slope(y + 0.5 * h * k2)
+        k4 = slope(y + h * k3)
+        y = y + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    return y
 
 
 def constant_rate(rate_rad_s: FloatArray, step_s: float) -> Turned:
