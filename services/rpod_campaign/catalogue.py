@@ -31,6 +31,7 @@ BUILT_IN = (
     "population",
     "model-matrix",
     "limits",
+    "navigation",
     "integrity",
     "faults",
 )

@@ -114,7 +114,8 @@ def _options(name: str, model: type[Options], given: Mapping[str, Any]) -> Optio
         is_list = isinstance(default, tuple) or "tuple" in str(fields[option].annotation)
         document[option] = tuple(part.strip() for part in value.split(",")) if is_list else value
     if "scenarios" in fields:
-        document["scenarios"] = {scenario: find_scenario(scenario) for scenario in shipped()}
+        files = [name for name in document.get("scenario", ()) if Path(name).is_file()]
+        document["scenarios"] = {scenario: find_scenario(scenario) for scenario in (*shipped(), *files)}
     try:
         return check(model, document, source="")
     except ConfigurationError as error:

@@ -1,0 +1,74 @@
+"""``navigation``: its cells, and the campaign as one object."""
+
+from typing import Any
+
+from rpod_campaign.engine.campaign import Campaign
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.lidar.cells import targets
+from rpod_campaign.navigation import trial
+from rpod_campaign.navigation.options import Options
+from rpod_campaign.navigation.report import sections, summarise
+from rpod_campaign.navigation.trial import FRAME, NavigationCell
+from rpod_schemas.config.base import check
+from rpod_schemas.config.emulator import WorldName
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.errors import ConfigurationError
+
+
+def cells(options: Options) -> list[NavigationCell]:
+    """Return the cells. Raises ConfigurationError, which names the option."""
+    return [
+        NavigationCell(
+            scenario=scenario.name,
+            target=cached_target(target).name,
+            seconds=min(options.seconds, scenario.duration_s),
+            off_mm=off_mm,
+            declared=declared,
+            world=world,
+            rate_hz=rate_hz,
+            document=_document(scenario, target, world, rate_hz),
+        )
+        for scenario in (_found(options, name) for name in options.scenario)
+        for target in targets(options.target or (scenario.target,))
+        for world in options.world
+        for rate_hz in options.rate or (None,)
+        for off_mm in options.off_mm
+        for declared in (options.declared if off_mm else (1.0,))
+    ]
+
+
+def _found(options: Options, name: str) -> Scenario:
+    """Return a scenario that can be played in one process."""
+    scenario = options.scenarios.get(name)
+    if scenario is None:
+        known = ", ".join(options.scenarios)
+        raise ConfigurationError("--scenario", "", f"needs the path of a YAML file, or {known}, not {name!r}")
+    for has, what in (
+        (scenario.faults, "faults; the campaign 'faults' plays them"),
+        (scenario.motion.joints, "joints that move"),
+        (scenario.estimator.dynamics.imu, "an IMU of the chaser"),
+    ):
+        if has:
+            raise ConfigurationError("--scenario", "", f"{name} has {what}; this campaign does not play that")
+    return scenario
+
+
+def _document(scenario: Scenario, target: str, world: WorldName, rate_hz: float | None) -> str:
+    """Return a scenario with another target, world and rate of its cameras, as JSON."""
+    document: dict[str, Any] = scenario.model_dump(mode="json") | {"target": target, "world": world}
+    for sensor in document["sensors"]:
+        if rate_hz is not None and sensor["kind"] == "pmd":
+            sensor["rate_hz"] = rate_hz
+    return check(Scenario, document, source=scenario.name).model_dump_json()
+
+
+CAMPAIGN: Campaign[NavigationCell] = Campaign(
+    name="navigation",
+    options=Options,
+    cells=cells,
+    trial=trial.run,
+    schema=trial.SCHEMA,
+    summarise=summarise,
+    sections=sections,
+    keys=(FRAME,),
+)

@@ -1,0 +1,34 @@
+"""Options of ``navigation``."""
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from rpod_campaign.engine.options import Names, Provided, Trials, Worlds
+from rpod_campaign.engine.options import Options as CampaignOptions
+from rpod_schemas.config.base import NonNegative, Positive
+from rpod_schemas.config.scenario import Scenario
+
+
+class Options(CampaignOptions):
+    """Whether the estimates of a scenario are as good as they state."""
+
+    title: ClassVar[str] = "Scenarios: true covariance, handovers"
+
+    trials: Trials = 200
+    scenario: Names = ("mockup-tumbling",)
+    """Scenarios: names, or paths of scenario files."""
+    target: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    """Targets instead of that of the scenario, with its motion: names, or paths of parameter files."""
+    world: Worlds = ("documented",)
+    seconds: Positive = 4.0
+    """Length of a trial, s; it begins anywhere in the scenario. The scenario's duration or more plays all of
+    it."""
+    rate: tuple[Positive, ...] = ()
+    """Rates of the cameras instead of those of the scenario, Hz; the other sensors keep theirs."""
+    off_mm: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0,)
+    """Standard deviation of the places and sizes of the target's parts from its model, mm."""
+    declared: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
+    """Tolerance that the model declares, over the true one; 1 is right."""
+    scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
+    """Scenarios, by name and by path."""

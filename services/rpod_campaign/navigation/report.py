@@ -1,0 +1,176 @@
+"""``navigation``: NEES and NIS with their intervals over trials, availability, and handovers."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from scipy.stats import bootstrap
+
+from rpod_analysis.scoring.handover import PAUSE_S
+from rpod_analysis.scoring.score import NEES_95
+from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.engine.report.content import Section, Table
+from rpod_campaign.engine.report.numbers import in_world, millimetres, number, percent
+from rpod_campaign.engine.report.statistics import root_mean_square
+from rpod_campaign.navigation.trial import FRAME, NavigationCell
+
+Results = Sequence[CellResult[NavigationCell]]
+SETTLED_SHARE = 0.25
+"""Share of a trial that is not scored: the filter begins at the true pose, without an error."""
+_CHANGES = ("change_deg", "change_m", "jump_deg", "jump_m")
+
+
+class Mean(NamedTuple):
+    """A mean over trials with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def over_trials(rows: pl.DataFrame, column: str) -> Mean | None:
+    """Return the mean of a column's means over trials with its bootstrap interval; None without a value.
+
+    Errors of a trial's frames are not independent, therefore trials are drawn, not frames (B. Efron, Annals
+    of Statistics 7, 1979; the percentile method).
+    """
+    known = rows.filter(pl.col(column).is_finite())
+    means = known.group_by(TRIAL, maintain_order=True).agg(pl.col(column).mean())[column].to_numpy()
+    if not means.size:
+        return None
+    value = float(means.mean())
+    if means.size == 1:
+        return Mean(value, float("nan"), float("nan"))
+    drawn = bootstrap((means,), np.mean, method="percentile", rng=np.random.default_rng(0))
+    return Mean(value, float(drawn.confidence_interval.low), float(drawn.confidence_interval.high))
+
+
+def summarise(cell: NavigationCell, rows: pl.DataFrame) -> dict[str, Any]:
+    """Return the summary of a cell."""
+    bound = pl.col("nees_dof").replace_strict(NEES_95, return_dtype=pl.Float64)
+    scored = rows.filter(pl.col("since_s") >= SETTLED_SHARE * cell.seconds).with_columns(
+        **{
+            f"{name}_inside": pl.when(pl.col(name).is_finite()).then((pl.col(name) <= bound).cast(pl.Float64))
+            for name in ("nees", "nis")
+        }
+    )
+    handovers = [found for each in rows.sort(FRAME).partition_by(TRIAL) for found in _handovers(each)]
+    ends = rows.sort(FRAME).group_by(TRIAL).agg(pl.col("mode").last())
+    described = {name: value for name, value in asdict(cell).items() if name != "document"}
+    return {
+        **described,
+        "trials": rows[TRIAL].n_unique(),
+        "frames": scored.height,
+        "accepted_share": scored["accepted"].mean(),
+        "ends_without_track": ends.filter(pl.col("mode") != "TRACKING").height,
+        "availability": scored["available"].mean(),
+        "attitude_rms_deg": root_mean_square(scored["attitude_error_deg"].drop_nulls()),
+        "position_rms_m": root_mean_square(scored["position_error_m"].drop_nulls()),
+        **{
+            name: _as_json(over_trials(scored, name)) for name in ("nees", "nees_inside", "nis", "nis_inside")
+        },
+        "handovers": {
+            "count": len(handovers),
+            "gap_s": max((each["gap_s"] for each in handovers), default=None),
+            **{name: max((each[name] for each in handovers), default=None) for name in _CHANGES},
+        },
+    }
+
+
+def _as_json(mean: Mean | None) -> dict[str, float] | None:
+    return None if mean is None else {"mean": mean.value, "low": mean.low, "high": mean.high}
+
+
+def _handovers(trial: pl.DataFrame) -> Iterator[dict[str, float]]:
+    """Yield gap, changes and jumps of the handovers of a trial, as the report of a log defines them."""
+    last: dict[str, int] = {}
+    times_s, sensors = trial["time_s"].to_list(), trial["sensor"].to_list()
+    for row in np.flatnonzero(trial["accepted"].to_numpy()).tolist():
+        sensor, time_s = sensors[row], times_s[row]
+        own, other = last.get(sensor), max((at for name, at in last.items() if name != sensor), default=None)
+        last[sensor] = row
+        if other is None or time_s - times_s[other] > PAUSE_S:
+            continue
+        if own is None or time_s - times_s[own] > PAUSE_S:
+            around = trial[other : row + 1]
+            largest = {name: float(np.nanmax(around[name].to_numpy())) for name in _CHANGES}
+            yield {"gap_s": time_s - times_s[other], **largest}
+
+
+def sections(results: Results) -> list[Section]:
+    """Return the sections of the report."""
+    note = (
+        "NEES: squared error by its covariance, six degrees of freedom. NIS: the same of a measurement "
+        "against its prediction. Brackets are 95 % bootstrap intervals over trials. The covariance is true "
+        "where the mean is 6 and 95 % are inside. Available: both protection levels are below their alert "
+        f"limits. The first {SETTLED_SHARE:.0%} of each trial are not scored."
+    )
+    tables = [_table(results)]
+    if any(result.summary["handovers"]["count"] for result in results):
+        tables.append(_handover_table(results))
+    return [Section("Scenarios", note, tuple(tables))]
+
+
+def _name(cell: NavigationCell) -> tuple[str, ...]:
+    declared = number(cell.declared if cell.off_mm else None)
+    scenario = in_world(cell.scenario, cell.world)
+    return scenario, cell.target, number(cell.rate_hz), f"{cell.off_mm:g}", declared
+
+
+_NAMES = ("scenario", "target", "camera, Hz", "off, mm", "declared over true")
+
+
+def _table(results: Results) -> Table:
+    rows = [
+        (
+            *_name(result.cell),
+            str(s["trials"]),
+            percent(s["accepted_share"]),
+            str(s["ends_without_track"]),
+            percent(s["availability"]),
+            number(s["attitude_rms_deg"], ".3f"),
+            millimetres(s["position_rms_m"]),
+            _interval(s["nees"], ".1f"),
+            _interval(s["nees_inside"], ".3f"),
+            _interval(s["nis"], ".1f"),
+            _interval(s["nis_inside"], ".3f"),
+        )
+        for result in results
+        for s in (result.summary,)
+    ]
+    columns = (
+        *(*_NAMES, "trials", "accepted", "end without track", "available", "attitude, deg RMS"),
+        *("position, mm RMS", "mean NEES", "inside 95 %", "mean NIS", "NIS inside 95 %"),
+    )
+    return Table("Estimates", columns, tuple(rows)).condensed(len(_NAMES))
+
+
+def _handover_table(results: Results) -> Table:
+    rows = [
+        (
+            *_name(result.cell),
+            str(found["count"]),
+            number(found["gap_s"], ".2f"),
+            number(found["change_deg"], ".2f"),
+            millimetres(found["change_m"]),
+            number(found["jump_deg"], ".2f"),
+            millimetres(found["jump_m"]),
+        )
+        for result in results
+        for found in (result.summary["handovers"],)
+        if found["count"]
+    ]
+    columns = (
+        *(*_NAMES, "handovers", "longest gap, s", "largest change, deg", "largest change, mm"),
+        *("beyond the covariance, deg", "beyond the covariance, mm"),
+    )
+    return Table("Handovers", columns, tuple(rows)).condensed(len(_NAMES))
+
+
+def _interval(mean: dict[str, float] | None, form: str) -> str:
+    if mean is None:
+        return number(None)
+    shown = number(mean["mean"], form)
+    return shown if np.isnan(mean["low"]) else f"{shown} [{mean['low']:{form}}, {mean['high']:{form}}]"

@@ -1,0 +1,233 @@
+"""A part of a scenario, through the navigator and the integrity monitor, in this process.
+
+The navigator starts at the true pose. The sensors' frames are made and decoded as in a facility, and follow
+each other in the order of lockstep. Each frame gives a row.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.spatial.transform import RigidTransform
+
+from rpod_analysis.scoring.handover import Offset, beyond
+from rpod_campaign.engine.trial.poses import errors, nees_of
+from rpod_campaign.engine.trial.streams import stream
+from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.pmd.scene import scenario_of
+from rpod_campaign.pmd.world import World, built
+from rpod_emulator.local_sensor import LocalSensor
+from rpod_motion.motion import Motion, build_motion
+from rpod_pose.measurement import Measurement
+from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.monitor import Monitor
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.state import Output
+from rpod_pose.ports import Methods
+from rpod_schemas.config.emulator import EmulatorConfig
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.scenario import Scenario
+from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.schedule import lockstep_steps
+from rpod_schemas.types import Integrity
+from rpod_target import Target
+
+FRAME = "frame"
+"""Column that distinguishes the rows of a trial."""
+_BEGIN, _BUILT, _NOISE = 31, 32, 33
+"""Streams of random numbers: the beginning, the parts' places and sizes, the sensors' noise."""
+
+
+@dataclass(frozen=True)
+class NavigationCell:
+    """A scenario, and how its target differs from its model."""
+
+    scenario: str
+    target: str
+    seconds: float
+    """Length of a trial, s."""
+    off_mm: float = 0.0
+    """Standard deviation of the places and sizes of the target's parts, mm."""
+    declared: float = 1.0
+    """Tolerance that the model declares, over ``off_mm``."""
+    world: str = "documented"
+    rate_hz: float | None = None
+    """Rate of the cameras, Hz; None for that of the scenario."""
+    document: str = field(default="", repr=False)
+    """JSON of the scenario."""
+
+
+SCHEMA: dict[str, Any] = {
+    FRAME: pl.Int64,
+    "time_s": pl.Float64,  # from the beginning of the scenario
+    "since_s": pl.Float64,  # from the beginning of the trial
+    "sensor": pl.String,
+    "range_m": pl.Float64,
+    "mode": pl.String,
+    "accepted": pl.Boolean,
+    "available": pl.Boolean,  # the protection levels are below the alert limits
+    "attitude_error_deg": pl.Float64,
+    "position_error_m": pl.Float64,
+    "nees": pl.Float64,
+    "nees_dof": pl.Int64,
+    "nis": pl.Float64,
+    # from the estimate before: change of the error, and its part beyond the covariance
+    **dict.fromkeys(("change_deg", "change_m", "jump_deg", "jump_m"), pl.Float64),
+    "seed": pl.Int64,
+}
+
+
+def run(cell: NavigationCell, seed: int, trial: int) -> list[dict[str, Any]]:
+    """Return a row for each frame of the trial."""
+    scenario, (settings, methods, model) = scenario_of(cell.document), _estimator(cell)
+    target, motion = cached_target(scenario.target), _motion_of(cell.document)
+    navigator = Navigator(
+        settings,
+        methods,
+        centre_of_mass_m=model.centre_of_mass_m,
+        alike=model.equivalence,
+        joints=model.joints,
+        dynamics=Dynamics.of(settings.dynamics, model),
+    )
+    monitor, memory = Monitor(settings), Memory()
+    begin_s = float(stream(seed, trial, _BEGIN).uniform(0.0, max(0.0, scenario.duration_s - cell.seconds)))
+    state, rows, before = navigator.start(motion.state(begin_s).T_chaser_target), [], None
+    for number, (time_s, measurement) in enumerate(_frames(cell, motion, begin_s, seed=seed, trial=trial)):
+        state, output = navigator.step(state, measurement)
+        memory, integrity = monitor.assess(memory, state, output)
+        truth = motion.state(_time_s(scenario, integrity.stamp_ns)).T_chaser_target
+        offset = _offset(truth, output, target)
+        rows.append(
+            {
+                FRAME: number,
+                "time_s": time_s,
+                "since_s": time_s - begin_s,
+                "sensor": measurement.sensor,
+                "mode": state.mode.name,
+                "accepted": output.status.accepted,
+                "nis": output.status.nis,
+                "seed": seed,
+                **_scored(truth, output, integrity, target),
+                **_changed(before, offset),
+            }
+        )
+        before = offset or before
+    return rows
+
+
+def _frames(
+    cell: NavigationCell, motion: Motion, begin_s: float, *, seed: int, trial: int
+) -> Iterator[tuple[float, Measurement]]:
+    """Yield the measurements of a trial and their times in the scenario, s, in the order of lockstep.
+
+    Frames of a sensor that is beyond its ``range_m`` are left out, since the estimator does not use them.
+    """
+    scenario = scenario_of(cell.document)
+    target = built(
+        cached_target(scenario.target), World(cad_error_m=1e-3 * cell.off_mm), stream(seed, trial, _BUILT)
+    )
+    sensors = {sensor.name: sensor for sensor in scenario.sensors}
+    config = EmulatorConfig(
+        target=scenario.target,
+        sensors=scenario.sensors,
+        world=scenario.world,
+        surroundings=scenario.surroundings,
+        seed=int(stream(seed, trial, _NOISE).integers(2**31)),
+    )
+    local = {name: LocalSensor(config, sensor, target) for name, sensor in sensors.items()}
+    range_m = {sensor.name: sensor.range_m or (0.0, np.inf) for sensor in scenario.estimator.sensors}
+    for step in lockstep_steps(scenario.sensors, epoch_ns=scenario.epoch_ns, duration_s=scenario.duration_s):
+        due, sensor = step.frame, sensors[step.frame.sensor]
+        time_s = _time_s(scenario, due.stamp_ns)
+        if due.sensor not in range_m or time_s < begin_s:
+            continue
+        if time_s > begin_s + cell.seconds:
+            return
+        T_sensor_chaser, (least_m, greatest_m) = sensor.T_chaser_sensor.inv(), range_m[due.sensor]
+        times_s = (time_s, *(time_s + each_s for each_s in sensor.pose_times_s()))
+        now, *poses = (T_sensor_chaser * motion.state(each_s).T_chaser_target for each_s in times_s)
+        if not least_m <= np.linalg.norm(now.translation) <= greatest_m:
+            continue
+        frame = local[due.sensor].frame(poses, motion.sun_W_m2(time_s), due)
+        if frame is not None:
+            yield time_s, Measurement(due.sensor, frame, sensor.published_mount)
+
+
+def _time_s(scenario: Scenario, stamp_ns: int) -> float:
+    return (stamp_ns - scenario.epoch_ns) / NANOSECONDS
+
+
+def _scored(truth: RigidTransform, output: Output, integrity: Integrity, target: Target) -> dict[str, Any]:
+    """Return range, errors, NEES and availability of an output; errors are those at the stamp it states."""
+    odometry = output.odometry
+    found = None if odometry is None else odometry.pose
+    attitude_deg, position_m = errors(truth, found, target)
+    return {
+        "range_m": float(np.linalg.norm(truth.translation)),
+        "available": integrity.attitude_level_deg <= integrity.attitude_limit_deg
+        and integrity.position_level_m <= integrity.position_limit_m,
+        "attitude_error_deg": attitude_deg,
+        "position_error_m": position_m,
+        "nees": None if odometry is None else nees_of(truth, found, odometry.pose_covariance, target),
+        "nees_dof": target.equivalence.dof,
+    }
+
+
+def _offset(truth: RigidTransform, output: Output, target: Target) -> Offset | None:
+    """Return the error of an estimate with its covariance; None without one."""
+    if output.odometry is None:
+        return None
+    found = output.odometry.pose
+    same = target.equivalence.nearest_pose(truth, found)
+    turn = (found.rotation * same.rotation.inv()).as_matrix()
+    place_m = found.translation - same.translation
+    return Offset(output.odometry.stamp_ns, turn, place_m, output.odometry.pose_covariance)
+
+
+def _changed(before: Offset | None, now: Offset | None) -> dict[str, float | None]:
+    """Return how far the error has changed since the estimate before, and how far beyond its covariance."""
+    if before is None or now is None:
+        return dict.fromkeys(("change_deg", "change_m", "jump_deg", "jump_m"))
+    change_m, change_rad = before.change_to(now)
+    return {
+        "change_deg": float(np.degrees(np.linalg.norm(change_rad))),
+        "change_m": float(np.linalg.norm(change_m)),
+        "jump_deg": float(np.degrees(beyond(change_rad, before.covariance[3:, 3:]))),
+        "jump_m": beyond(change_m, before.covariance[:3, :3]),
+    }
+
+
+@lru_cache(maxsize=4)
+def _motion_of(document: str) -> Motion:
+    scenario = scenario_of(document)
+    target = cached_target(scenario.target)
+    return build_motion(
+        scenario.motion,
+        centre_of_mass_m=target.centre_of_mass_m,
+        inertia_kg_m2=target.inertia_kg_m2,
+        duration_s=scenario.duration_s,
+    )
+
+
+@lru_cache(maxsize=4)
+def _estimator(cell: NavigationCell) -> tuple[EstimatorSettings, dict[str, Methods], Target]:
+    """Return settings, methods and model of the scenario's estimator, as a facility gives them."""
+    scenario = scenario_of(cell.document)
+    model = cached_target(scenario.estimator.target or scenario.target)
+    if cell.off_mm:
+        model = replace(model, tolerance_m=1e-3 * cell.declared * cell.off_mm)
+    emulated = {sensor.name: sensor for sensor in scenario.sensors}
+    heard = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
+    shared = {name: getattr(scenario.estimator, name) for name in EstimatorSettings.model_fields}
+    settings = EstimatorSettings(**(shared | {"sensors": heard, "initial_pose": None}))
+    methods = {}
+    for sensor in heard:
+        config = EmulatorConfig(target=scenario.target, sensors=(emulated[sensor.name],))
+        info = LocalSensor(config, emulated[sensor.name], cached_target(scenario.target)).info
+        methods[sensor.name] = ready_methods(sensor, model, kind_methods(sensor).setup(sensor, info))
+    return settings, methods, model

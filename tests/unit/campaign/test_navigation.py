@@ -1,0 +1,101 @@
+"""The campaign of scenarios through the navigator."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from rpod.scenarios import find
+from rpod_campaign.navigation import trial
+from rpod_campaign.navigation.campaign import cells
+from rpod_campaign.navigation.options import Options
+from rpod_campaign.navigation.report import over_trials, summarise
+from rpod_campaign.navigation.trial import SCHEMA, NavigationCell
+from rpod_schemas.config.motion import JointMotionConfig
+from rpod_schemas.errors import ConfigurationError
+
+STATION = find("envisat-station")
+MOVING = STATION.motion.model_copy(update={"joints": {"array": JointMotionConfig(angle_deg=10.0)}})
+CELL = NavigationCell(scenario="made-up", target="mockup", seconds=8.0)
+
+
+def row(trial_number, frame, **given):
+    usual = {
+        "trial": trial_number, "frame": frame, "time_s": frame / 2.0, "since_s": frame / 2.0, "sensor": "pmd",
+        "range_m": 5.0, "mode": "TRACKING", "accepted": True, "available": True, "attitude_error_deg": 0.1,
+        "position_error_m": 0.01, "nees": 6.0, "nees_dof": 6, "nis": 6.0, "change_deg": 0.0, "change_m": 0.0,
+        "jump_deg": 0.0, "jump_m": 0.0, "seed": 1,
+    }  # fmt: skip
+    return usual | given
+
+
+def rows(*given):
+    return pl.DataFrame(list(given), schema={"trial": pl.Int64, **SCHEMA})
+
+
+def options(**given):
+    scenario = given.pop("shown", STATION)
+    return Options(**{"scenario": (scenario.name,), "scenarios": {scenario.name: scenario}} | given)
+
+
+def test_the_interval_is_that_of_trials_whose_frames_err_together():
+    wide = rows(*(row(k, frame, nees=float(k)) for k in range(10) for frame in range(1, 40)))
+    mean = over_trials(wide, "nees")
+    assert mean.value == pytest.approx(4.5)
+    assert mean.high - mean.low == pytest.approx(2 * 1.96 * np.std(np.arange(10)) / np.sqrt(10), rel=0.15)
+
+
+def test_the_first_quarter_and_frames_without_a_number_are_not_scored():
+    early, late = row(0, 0, nees=100.0), row(0, 8, nees=20.0)
+    found = summarise(CELL, rows(early, late, row(0, 9, nees=6.0, nis=float("nan"))))
+    assert found["frames"] == 2
+    assert found["nees"]["mean"] == pytest.approx(13.0)
+    assert found["nees_inside"]["mean"] == pytest.approx(0.5)
+    assert found["nis_inside"]["mean"] == pytest.approx(1.0)
+
+
+def test_a_handover_is_the_first_frame_of_a_sensor_while_another_is_used():
+    found = summarise(
+        CELL,
+        rows(
+            row(0, 0, sensor="lidar"),
+            row(0, 1, sensor="lidar"),
+            row(0, 2, accepted=False, jump_m=0.5),
+            row(0, 3, change_m=0.03, jump_m=0.02, change_deg=0.4, jump_deg=0.1),
+            row(0, 4, sensor="lidar", jump_m=9.0),  # its own last frame was 1.5 s before
+        ),
+    )
+    handovers = found["handovers"]
+    assert (handovers["count"], handovers["gap_s"]) == (1, 1.0)
+    assert handovers["jump_m"] == 0.5  # an estimate between both frames counts too
+    assert handovers["jump_deg"] == 0.1
+
+
+def test_a_trial_gives_estimates_that_are_scored():
+    (cell,) = cells(options(seconds=3.0))
+    found = trial.run(cell, seed=1, trial=0)
+    assert found == trial.run(cell, seed=1, trial=0)
+    assert [set(each) for each in found] == [set(SCHEMA)] * len(found)
+    assert len(found) == 3
+    assert all(each["accepted"] and each["attitude_error_deg"] < 1.0 for each in found)
+    other = trial.run(cell, seed=1, trial=1)
+    assert other[0]["time_s"] != found[0]["time_s"]
+
+
+def test_a_trial_with_parts_that_are_off_has_a_model_that_says_so():
+    (cell,) = cells(options(seconds=2.0, off_mm=(30.0,), declared=(1.0,)))
+    off, exact = trial.run(cell, 1, 0), trial.run(cells(options(seconds=2.0))[0], 1, 0)
+    assert off[-1]["position_error_m"] != exact[-1]["position_error_m"]
+    assert off[-1]["nees"] < 40.0
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"scenario": ("other",)}, "--scenario: needs the path"),
+        ({"target": ("no-such-target",)}, "--target"),
+        ({"shown": STATION.model_copy(update={"motion": MOVING})}, "has joints that move"),
+    ],
+)
+def test_a_wrong_option_is_named(given, named):
+    with pytest.raises(ConfigurationError, match=named):
+        cells(options(**given))
