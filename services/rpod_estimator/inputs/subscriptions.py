@@ -66,7 +66,11 @@ class Subscriptions:
         """Time up to which all received messages have been processed, monotonic clock."""
         silence_s = LOCKSTEP_SILENCE_S if config.in_lockstep else WINDOW_S
         self.health = InputHealth(
-            node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
+            node.health,
+            self._reader.leading,
+            now_s=self.heard_until_s,
+            silence_s=silence_s,
+            limits=config.navigator.tuning,
         )
         self._clocks = {
             sensor.name: SensorClock(sensor, config, self.health.books[sensor.name], node.health)
@@ -164,7 +168,7 @@ class Subscriptions:
         for name, (sensor, part) in self._reader.parts.items():
             if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:
                 refused = self._node.health.rejection(name)
-                self.health.books[sensor].instead = self._published.instead(name, refused)
+                self.health.books[sensor].note("instead", self._published.instead(name, refused))
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
     def _take_all(self, parts: list[Received]) -> None:

@@ -47,7 +47,7 @@ from rpod_pose.navigation.sensors.streams import (
     supported,
     unsupported_s,
 )
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -132,7 +132,7 @@ class Navigator:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         if state.mode == Mode.TRACKING and not before.mode.has_track:  # no sensor needs a search any more
             state = replace(state, searches={})
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)
 
     def _process(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Apply the result of the sensor's search, if there is one, and then the measurement."""
@@ -168,9 +168,9 @@ class Navigator:
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
-            if event.sensor in state.established:  # a pose that this sensor cannot verify is dropped
-                return self._reject(state, event, None, reason=why)
-            return state, self._output(state, event, reason=why)
+            if state.mode == Mode.VERIFYING and event.sensor in state.established:
+                state = state.acquiring()  # this sensor cannot verify the pose
+            return state, self._output(state, event, reason=why, cause=Cause.OUT_OF_RANGE)
         if state.established and event.sensor not in state.established:
             return self._newcomers.offer(state, history, event)
         return self._track(state, history, predicted, event)
@@ -182,7 +182,7 @@ class Navigator:
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)
 
     def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
         """Return the report about a search whose result waits for the next frame of its sensor.
@@ -193,13 +193,7 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         report = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=report)
-        return self._with_usability(state, output.with_evidence(BEGUN, 1.0))
-
-    def _with_usability(self, state: NavigatorState, output: Output) -> Output:
-        """Return an output with the reason why its covariance makes the estimate unusable, if it does."""
-        if output.odometry is None:
-            return output
-        return replace(output, unusable=self._coasting.unusable(state, output.odometry.stamp_ns))
+        return self._coasting.judged(state, output.with_evidence(BEGUN, 1.0))
 
     # --- searches ---
 
@@ -288,8 +282,7 @@ class Navigator:
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
             if not state.established:  # a given pose that the first frame does not confirm
-                state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
-                search = replace(search, frame=event.data)
+                state, search = state.acquiring(), replace(search, frame=event.data)
             return self._start_search(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
 
@@ -355,14 +348,14 @@ class Navigator:
         self,
         state: NavigatorState,
         event: Measurement,
-        registration: Registration | None,
+        registration: Registration,
         *,
         reason: str,
         nis: float = float("nan"),
     ) -> tuple[NavigatorState, Output]:
         """Continue with the prediction; drop a pose that fails verification."""
         if state.mode == Mode.VERIFYING:
-            state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
+            state = state.acquiring()
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     # --- LOST ---
@@ -378,9 +371,10 @@ class Navigator:
         """Search near the prediction first, then everywhere."""
         registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
-            why = self._ranges.not_of(event.sensor, registration)
-            state = state if why else self._beginning.at_found(state, event, registration)
-            return state, self._output(state, event, registration, reason=why)
+            if why := self._ranges.not_of(event.sensor, registration):
+                return state, self._output(state, event, registration, reason=why, cause=Cause.OUT_OF_RANGE)
+            state = self._beginning.at_found(state, event, registration)
+            return state, self._output(state, event, registration)
         if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
@@ -395,4 +389,4 @@ class Navigator:
         state, reason = self._coasting.aged(state, tick.stamp_ns)
         reason = reason or f"no frame for {silent_s:.1f} s"
         state, output = self._results.silent(state, tick.stamp_ns, reason)
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)

@@ -1269,7 +1269,7 @@ def test_the_images_of_an_estimator_are_no_sensor_that_sends_instead():
     bench = Bench()
     bench.node.came("own", CONTRADICTION)
     bench.arrived()
-    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].instead
+    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].state(monotonic() + 5.0).text
 
 
 # --- refused messages that are no frames, in the message of the diagnostics ---

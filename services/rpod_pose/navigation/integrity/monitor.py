@@ -39,9 +39,8 @@ from rpod_pose.navigation.integrity.residuals import (
     separation_test,
 )
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
-from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import is_recent
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
@@ -332,7 +331,7 @@ class Monitor:
         A sensor that is configured for other distances says nothing about the estimate.
         """
         status = output.status
-        if not status.accepted and not status.reason.startswith(OUT_OF_RANGE):
+        if not status.accepted and output.cause is not Cause.OUT_OF_RANGE:
             return f"the newest measurement is not used: {status.reason}"
         if status.belief is not BeliefLevel.ACCEPTED:
             return "the newest measurement supports the pose weakly"
