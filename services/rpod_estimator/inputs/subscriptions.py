@@ -42,8 +42,9 @@ _MOST_REFUSED = 500
 """Largest number of refused frames that wait for their status; further ones are counted as dropped."""
 _MOST_MOUNTS = 50
 """Largest number of mounts that are written to the log."""
-_CLOCK_LAG_S = 0.2
-"""Longest time that a clock message may arrive after a frame that was published later."""
+_CLOCK_LAG_S, _STANDING_S = 0.2, 5.0
+"""Longest time that a clock message may arrive after a frame that was published later; and that time in
+lockstep, where the clock waits for the frame and a machine may be loaded."""
 
 
 class FrameRefusedError(MessageRejectedError):
@@ -288,7 +289,8 @@ class Subscriptions:
         """Check a stamp against the time of arrival: the estimator's own delay does not count."""
         now_ns, clock = received.arrival_ns, self._node.clock
         if isinstance(clock, BusClock):
-            clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
+            earliest_ns = stamp_ns - round(self._config.max_future_s * NANOSECONDS)
+            clock.await_ns(earliest_ns, _CLOCK_LAG_S, standing_s=_STANDING_S)
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > self._config.max_age_s:
