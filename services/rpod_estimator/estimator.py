@@ -98,7 +98,7 @@ class Estimator:
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
         self._passed_ns: int | None = None
         self._is_reset = False
-        self._told_ns = 0
+        self._ticked_ns = 0
 
     @property
     def mode(self) -> Mode:
@@ -257,11 +257,11 @@ class Estimator:
         """Advance the time without a frame; return a result if the mode changes, or the track coasts."""
         self._take_resets()
         before = self._state.mode
-        if self._told_ns <= now_ns < self._told_ns + _TICK_NS:
+        if self._ticked_ns <= now_ns < self._ticked_ns + _TICK_NS:
             return None  # a daemon's ticks are more frequent than the messages of a track that coasts
         self._state, output = self._navigator.step(self._state, Tick(now_ns))
         if output is not None:
-            self._told_ns = now_ns
+            self._ticked_ns = now_ns
             self._log_change(before, output)
         return output
 

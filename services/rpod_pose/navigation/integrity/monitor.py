@@ -46,8 +46,8 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState, Mode
 
-NOT_TOLD = "; which of them is wrong is not known: calibrate both"
-"""Text that an offset between two mounts does not say which mount is wrong, with the remedy."""
+WRONG_ONE_UNKNOWN = "; which of them is wrong is not known: calibrate both"
+"""End of the report of an offset between two mounts, with the remedy."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
 """Limit of the levels if one of several sensors alone is not accurate enough for the alert limits."""
 SIZE_BELIEVED = (
@@ -195,7 +195,7 @@ class Monitor:
             if len(there) == 2:
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
-            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, NOT_TOLD))
+            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, WRONG_ONE_UNKNOWN))
             evidence |= offset.evidence
         return tests, evidence
 
