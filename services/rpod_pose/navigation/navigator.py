@@ -19,7 +19,6 @@ from typing import overload
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
@@ -33,6 +32,7 @@ from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, Found, Inline
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.refusals import Refusals
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
@@ -154,7 +154,9 @@ class Navigator:
         """Process a measurement: with rivals, without a pose, or with a predicted pose."""
         if state.rivals is not None:
             return self._track_rivals(state, state.rivals, event)
-        if state.mode == Mode.ACQUIRING or state.history is None or self._gave_up(state, event):
+        if state.mode == Mode.ACQUIRING or state.history is None:
+            return self._acquire(state, event)
+        if state.lost_s(event.stamp_ns) > self._limits.near_search_s:  # to predict it takes longer and longer
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
@@ -297,33 +299,21 @@ class Navigator:
         reason: str,
     ) -> tuple[NavigatorState, Output]:
         """Apply a registration: record its belief, update the filter, accept or reject the pose."""
-        tracked = state.mode.has_track
-        record = state.records.get(event.sensor, Record())
-        if registration.T_sensor_target is not None:
-            record = record.after(registration.belief)
-        state = replace(state, records={**state.records, event.sensor: record})
-        if tracked and record.share > self._limits.tuning.max_contradicted_share:
-            share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
+        tracked, state = state.mode.has_track, state.recorded(event.sensor, registration)
+        unsupported = state.unsupported_share(event.sensor)
+        if tracked and unsupported > self._limits.tuning.max_contradicted_share:
+            share = f"{unsupported:.0%} of the recent frames do not support the tracked pose"
             state = state.lost(event.stamp_ns)
             why = reason or registration.belief.reason or "the newest frame does"
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        alone = tracked and registration.belief.is_proof
-        proven = alone and registration.begins_track
-        measured = replace(as_measured(registration, event, state.streams.get(event.sensor)), alone=alone)
+        measured = as_measured(registration, event, state.streams.get(event.sensor))
+        measured = replace(measured, alone=tracked and registration.belief.is_proof)
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
-            if proven:
-                started = self._beginning.filter_at(measured, predicted)
-                state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
-                if outcome == Outcome.LOST:
-                    return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
-                if outcome == Outcome.REPLACED:
-                    state = self._accepting(state, event, registration)
-                    return state, self._output(state, event, registration, nis=nis)
             reason = self._refusals.explain(history, predicted, measured, nis=nis, tracked=tracked)
-            return self._reject(state, event, registration, reason=reason, nis=nis)
+            return self._refused(state, predicted, measured, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
             state, event.sensor
         )
@@ -331,6 +321,28 @@ class Navigator:
         mode = state.mode if tracked or verified else Mode.VERIFYING
         state = replace(state, mode=mode, established=state.established | {event.sensor})
         return state, self._output(state, event, registration, nis=nis)
+
+    def _refused(
+        self,
+        state: NavigatorState,
+        predicted: FilterState,
+        measured: PoseMeasurement,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+        nis: float,
+    ) -> tuple[NavigatorState, Output]:
+        """Decide about a pose that the gate refuses; one that its frame proves may end the track."""
+        if measured.alone and registration.begins_track:
+            started = self._beginning.filter_at(measured, predicted)
+            state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
+            if outcome == Outcome.LOST:
+                return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
+            if outcome == Outcome.REPLACED:
+                state = self._accepting(state, event, registration)
+                return state, self._output(state, event, registration, nis=nis)
+        return self._reject(state, event, registration, reason=reason, nis=nis)
 
     def _accepting(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -359,11 +371,6 @@ class Navigator:
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     # --- LOST ---
-
-    def _gave_up(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether a lost track is too old to be predicted, which would take longer and longer."""
-        lost_s = (event.stamp_ns - state.lost_ns) / NANOSECONDS
-        return state.mode == Mode.LOST and lost_s > self._limits.near_search_s
 
     def _recover(
         self, state: NavigatorState, predicted: FilterState, event: Measurement

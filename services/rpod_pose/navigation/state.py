@@ -17,6 +17,7 @@ from rpod_pose.navigation.sensors.joining import Separation
 from rpod_pose.navigation.sensors.streams import Stream, supported_ns
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odometry, Source
 
 
@@ -89,6 +90,21 @@ class NavigatorState:
         """
         unseen_ns = None if seen else supported_ns(self.streams)
         return replace(self, mode=Mode.LOST, lost_ns=stamp_ns, before_loss=left, unseen_ns=unseen_ns)
+
+    def lost_s(self, stamp_ns: int) -> float:
+        """Return the time for which the target has been lost at a stamp, s; 0 if it is not lost."""
+        return (stamp_ns - self.lost_ns) / NANOSECONDS if self.mode == Mode.LOST else 0.0
+
+    def recorded(self, sensor: str, registration: Registration) -> "NavigatorState":
+        """Return this state after a registration, which is recorded if it gives a pose."""
+        record = self.records.get(sensor, Record())
+        if registration.T_sensor_target is not None:
+            record = record.after(registration.belief)
+        return replace(self, records={**self.records, sensor: record})
+
+    def unsupported_share(self, sensor: str) -> float:
+        """Return the share of a sensor's recent frames that did not support the tracked pose."""
+        return self.records.get(sensor, Record()).share
 
     def acquiring(self) -> "NavigatorState":
         """Return this state without its pose, which was not verified."""

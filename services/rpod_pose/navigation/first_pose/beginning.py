@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState
@@ -72,8 +71,7 @@ class Beginning:
 
     def is_credible(self, state: NavigatorState, sensor: str) -> bool:
         """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
-        share = state.records.get(sensor, Record()).share
-        return share <= self._limits.tuning.max_beginning_share
+        return state.unsupported_share(sensor) <= self._limits.tuning.max_beginning_share
 
     def at_found(
         self,
