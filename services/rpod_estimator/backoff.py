@@ -20,7 +20,7 @@ SHARE = 0.1
 """Largest share of the time that limited searches take."""
 _BLOCKS = 12
 """Number of blocks along each side of an image whose content is compared."""
-_TELLING = 0.3
+_LEAST_SHARE = 0.3
 """Least share of measured pixels in a block whose mean range is compared; the mean of a few stray pixels is
 noise."""
 _DIRECTIONS = 48
@@ -93,7 +93,7 @@ def content(frame: SensorFrame) -> FloatArray:
     count = known.sum(axis=1)
     share = count / flat.shape[1]
     logs = np.log(np.where(known, flat, 1.0)).sum(axis=1) / np.maximum(count, 1)
-    return np.column_stack([share, np.where(share >= _TELLING, logs, 0.0)])
+    return np.column_stack([share, np.where(share >= _LEAST_SHARE, logs, 0.0)])
 
 
 def _image(frame: SensorFrame) -> NDArray[Any]:

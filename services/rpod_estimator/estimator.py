@@ -22,7 +22,7 @@ from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
 from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Methods
 from rpod_pose.surroundings.bodies import KnownBodies, KnownBodiesError
 from rpod_pose.surroundings.known import (
@@ -98,7 +98,7 @@ class Estimator:
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
         self._passed_ns: int | None = None
         self._is_reset = False
-        self._told_ns = 0
+        self._ticked_ns = 0
 
     @property
     def mode(self) -> Mode:
@@ -228,11 +228,13 @@ class Estimator:
 
     def _with_hint(self, output: Output, measurement: Measurement) -> Output:
         """Return the result of a frame without a pose, with the reason and a hint from its distances."""
-        why = output.why or (SLOW_SEARCH if self._searches_long(measurement) else "")
+        why, cause = output.why, output.cause
+        if not why and self._searches_long(measurement):
+            why, cause = SLOW_SEARCH, Cause.SLOW_SEARCH
         if not why:
             return output
         hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
-        return output.explained(f"{why} ({hint})" if hint else why)
+        return output.explained(f"{why} ({hint})" if hint else why, cause)
 
     def _searches_long(self, measurement: Measurement) -> bool:
         """Return whether the search for which a frame waits takes long."""
@@ -255,11 +257,11 @@ class Estimator:
         """Advance the time without a frame; return a result if the mode changes, or the track coasts."""
         self._take_resets()
         before = self._state.mode
-        if self._told_ns <= now_ns < self._told_ns + _TICK_NS:
+        if self._ticked_ns <= now_ns < self._ticked_ns + _TICK_NS:
             return None  # a daemon's ticks are more frequent than the messages of a track that coasts
         self._state, output = self._navigator.step(self._state, Tick(now_ns))
         if output is not None:
-            self._told_ns = now_ns
+            self._ticked_ns = now_ns
             self._log_change(before, output)
         return output
 

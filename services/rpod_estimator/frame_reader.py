@@ -231,7 +231,7 @@ class FrameReader:
             rejection = MessageRejectedError(Reason.UNKNOWN_FRAME, str(error))
             raise PartRejectedError(leading, rejection) from error
         try:
-            setup = Setup(mount, getattr(known.reader, "stated_info", known.reader.newest_info))
+            setup = Setup(mount, known.reader.stated_info)
             self._setups.check(sensor, setup, source=leading.peer, pinned=self.pinned)
         except MessageRejectedError as rejection:
             raise PartRejectedError(leading, rejection) from rejection
@@ -263,14 +263,13 @@ class FrameReader:
         repeats = self.repeats(sensor, frame)
         if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
             reader = self._sensors[sensor].reader
-            inconsistency, hint = getattr(reader, "inconsistency", ""), getattr(reader, "hint", "")
             defect, unused = _defect(measurement.data)
             if unused in type(measurement.data).model_fields:
                 measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
             lens = measurement.data.lens
             oblong = "" if lens is None else _oblong(lens)
-            defect = "; ".join(filter(None, (defect, oblong, inconsistency)))
-            arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=hint)
+            defect = "; ".join(filter(None, (defect, oblong, reader.inconsistency)))
+            arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=reader.hint)
         else:
             text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
             error = MessageRejectedError(Reason.FROZEN, text)

@@ -138,12 +138,12 @@ class Beacon:
 
     Args:
         validity: the validity to publish.
-        tell: function that publishes it.
+        publish: function that publishes it.
         clock: time of the stamps.
     """
 
-    def __init__(self, validity: Validity, tell: Callable[[EstimateValidity], None], clock: Clock) -> None:
-        self._validity, self._tell, self._clock = validity, tell, clock
+    def __init__(self, validity: Validity, publish: Callable[[EstimateValidity], None], clock: Clock) -> None:
+        self._validity, self._publish, self._clock = validity, publish, clock
         self.is_silent = isinstance(clock, BusClock)
         """Whether time comes from the bus."""
         self._stop = Event()
@@ -178,11 +178,11 @@ class Beacon:
         self._thread.join()
         if not self.is_silent:
             ended = {"valid": False, "reason": "the estimator has ended"}
-            self._tell(self.current().model_copy(update=ended))
+            self._publish(self.current().model_copy(update=ended))
 
     def _run(self) -> None:
         while not self.is_silent and not self._stop.wait(self._wait_s()):
-            self._tell(self.current())
+            self._publish(self.current())
 
     def _wait_s(self) -> float:
         """Return the time to the next message, s; it is earlier if the estimate becomes invalid before."""

@@ -36,6 +36,7 @@ class BusClock:
 
     def __init__(self) -> None:
         self._now_ns = self._before_ns = 0
+        self._stood_ns = -1
         self._moved = Condition()
 
     def set(self, message: object) -> None:
@@ -46,13 +47,24 @@ class BusClock:
                 self._before_ns, self._now_ns = self._now_ns, stamp_ns
             self._moved.notify_all()
 
-    def await_ns(self, stamp_ns: int, timeout_s: float) -> None:
+    def await_ns(self, stamp_ns: int, timeout_s: float, *, standing_s: float) -> None:
         """Wait until the clock reaches a time.
 
-        A message that was published after a clock message may be delivered before it.
+        A message that was published after a clock message may be delivered before it, or the clock message
+        may have been lost and is recovered. In lockstep no other one comes meanwhile.
+
+        Args:
+            stamp_ns: the time.
+            timeout_s: longest wait for a clock that moves.
+            standing_s: longest wait for a clock that stands still; once in vain at each of its times.
         """
         with self._moved:
-            self._moved.wait_for(lambda: self._now_ns >= stamp_ns, timeout_s)
+            since_ns = self._now_ns
+            if self._moved.wait_for(lambda: self._now_ns >= stamp_ns, timeout_s):
+                return
+            if self._now_ns == since_ns != self._stood_ns:
+                moved = self._moved.wait_for(lambda: self._now_ns > since_ns, standing_s - timeout_s)
+                self._stood_ns = self._stood_ns if moved else since_ns
 
     def now_ns(self) -> int:
         """Return the time of the last clock message."""

@@ -63,12 +63,30 @@ ICD = SourceConfig()
 
 
 class SensorReader(Protocol):
-    """Reads the messages of one sensor. It is created as ``(source)``, how the sensor's driver publishes."""
+    """Reads the messages of one sensor. It is created as ``(source)``, how the sensor's driver publishes.
+
+    A reader inherits from this class, for the properties that it has no use for.
+    """
 
     @property
     def newest_info(self) -> Any:
-        """Info that the sensor has published of itself; None as long as there is none."""
-        ...
+        """Info that describes the sensor; None as long as there is none."""
+        return None
+
+    @property
+    def stated_info(self) -> Any:
+        """The part of ``newest_info`` that the sensor has published, and that must not change in a track."""
+        return self.newest_info
+
+    @property
+    def inconsistency(self) -> str:
+        """How the messages of the sensor contradict each other; empty if they do not."""
+        return ""
+
+    @property
+    def hint(self) -> str:
+        """Fault in the newest frames that may be why they are refused; empty if there is none."""
+        return ""
 
     def learn(self, message: Any) -> None:
         """Store the sensor's info, a decoded message. Raises ``MessageRejectedError``."""
@@ -100,11 +118,12 @@ class PartRejectedError(MessageRejectedError):
         self.topic = received.topic.name
 
 
-class PmdReader:
+class PmdReader(SensorReader):
     """Reads the frames of a PMD camera."""
 
+    newest_info: PmdInfo | None = None
+
     def __init__(self, source: SourceConfig = ICD) -> None:
-        self.newest_info: PmdInfo | None = None
         self._source = source
         self._cosines: tuple[bytes, Float32Array] | None = None
         self._exposures = ExposureWatch()
@@ -195,7 +214,7 @@ def _plain(message: Any) -> Any:
     return decompressed(message) if message.__msgtype__ == COMPRESSED_IMAGE else message
 
 
-class LidarReader:
+class LidarReader(SensorReader):
     """Reads the scans of a LIDAR; each row of a scan has one elevation."""
 
     def __init__(self, source: SourceConfig = ICD) -> None:

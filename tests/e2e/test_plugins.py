@@ -45,7 +45,7 @@ def test_a_copied_method_estimates_bit_for_bit_what_the_original_does(method: Pa
     original.write_text(json.dumps(config))
     report = json.loads(with_packages(method, "replay", str(log), "--config", str(original), "--json"))
     difference = report["difference"]
-    assert difference["identical"] == difference["common"] > 40, difference
+    assert difference["identical"] == difference["common"] > 40, (difference, summary["inputs"])
 
 
 def test_a_campaign_takes_the_method_by_its_name(method: Path, tmp_path: Path):

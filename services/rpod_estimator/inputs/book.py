@@ -6,9 +6,10 @@ It knows neither bus nor clock; times are seconds of one monotonic clock. Its me
 from collections import Counter, deque
 from dataclasses import dataclass
 from statistics import median
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from rpod_runtime.assembler import GivenUp
+from rpod_schemas.config.estimator.estimator import NavigatorTuning
 from rpod_schemas.errors import Reason
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Health, SensorSync
@@ -22,14 +23,18 @@ LOCKSTEP_SILENCE_S = 60.0
 seconds. There the time of the bus decides, unless it stands still because the clock waits for a frame."""
 _SILENT_PERIODS = 3.0
 """Number of a sensor's periods after which it is silent, if this is longer than ``WINDOW_S``."""
+USUAL_LIMITS = NavigatorTuning()
+"""Limits by which a navigator begins and ends tracks if its configuration has none."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
 """Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
-DOUBTFUL_SHARE = 0.125
-"""Largest share of recent frames with too little support of the pose that is not reported. Above this share
-the navigator begins no track."""
 UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
 came during a search that takes long, which is no error."""
+Note = Literal["clock", "drift", "defect", "hint", "load", "instead"]
+"""What a text about a sensor is: how its stamps and the arrival of its frames contradict each other; how its
+clock drifts, if more than is declared; the defect of its newest frame, which is used nevertheless; a fault in
+its newest frames that may be why they are refused; how busy this machine is, if other processes may be why
+frames wait; the awaited topic of a sensor that has never sent, and what is published instead."""
 _CHECK = (
     "'rpod driver check {}' looks for errors of the sensor, with --target and --search also for a mirrored "
     "image, another unit or lens"
@@ -71,30 +76,28 @@ class SensorBook:
         leading: part by which its frames are counted.
         now_s: time, s, of the monotonic clock, as in all methods.
         silence_s: least time without a frame after which the sensor is silent, s.
+        limits: limits by which the navigator begins and ends tracks.
     """
 
-    def __init__(self, name: str, leading: str, *, now_s: float, silence_s: float = WINDOW_S) -> None:
-        self.name, self._leading, self._silence_s = name, leading, silence_s
+    def __init__(
+        self,
+        name: str,
+        leading: str,
+        *,
+        now_s: float,
+        silence_s: float = WINDOW_S,
+        limits: NavigatorTuning = USUAL_LIMITS,
+    ) -> None:
+        self.name, self._leading, self._silence_s, self._limits = name, leading, silence_s, limits
         self.used = 0
         """Number of frames whose measurement was accepted."""
         self.lost: Counter[str] = Counter()
         """Number of frames that were not used, by kind of loss."""
         self.examples: dict[str, str] = {}
         """Last loss of each kind, in words."""
-        self.repeats = 0
-        """Number of its newest frames that are identical to the one before them."""
-        self.defect = ""
-        """Defect of its newest frame, which is used nevertheless; empty if there is none."""
-        self.hint = ""
-        """Fault in its newest frames that may be why they are refused; empty if there is none."""
-        self.clock = ""
-        """How its stamps and the arrival of its frames contradict each other; empty if they do not."""
-        self.drift = ""
-        """How its clock drifts, if it drifts more than is declared; else empty."""
-        self.sync = SensorSync()
-        """How the sensor keeps time, by its driver."""
-        self.busy = ""
-        """How busy this machine is, if other processes may be why frames wait; else empty."""
+        self._repeats = 0
+        self._sync = SensorSync()
+        self._notes: dict[Note, str] = {}
         self._recent: deque[_Frame] = deque(maxlen=1024)
         self._dropped_s: deque[float] = deque(maxlen=1024)
         self._gaps_s: deque[float] = deque(maxlen=9)
@@ -103,8 +106,6 @@ class SensorBook:
         self._others_s = -WINDOW_S
         self._bus_heard_s: float | None = None
         self._bus_gaps_s: deque[float] = deque(maxlen=9)
-        self.instead = ""
-        """The awaited topic of a sensor that has never sent, and what is published instead."""
         self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
 
     @property
@@ -142,6 +143,18 @@ class SensorBook:
     def drop(self, now_s: float) -> None:
         """Note a frame that was not processed, because newer ones arrived while the estimator worked."""
         self._dropped_s.append(now_s)
+
+    def note(self, about: Note, text: str) -> None:
+        """Keep a text for the reports about the sensor, in place of the one before; empty for none."""
+        self._notes[about] = text
+
+    def note_repeats(self, repeats: int) -> None:
+        """Note how many of its newest frames are identical to the one before them."""
+        self._repeats = repeats
+
+    def note_sync(self, sync: SensorSync) -> None:
+        """Note how the sensor keeps time, by its driver."""
+        self._sync = sync
 
     def note_others(self, now_s: float, unused: str = "") -> None:
         """Note that parts of a frame arrived without the leading one.
@@ -183,10 +196,9 @@ class SensorBook:
         level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
         check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
-        hint = self.hint if latest.kind == REJECTED else ""
-        busy = self._overloaded(now_s) or (self.busy if latest.kind == SEARCHING else "")
-        known = latest.text, self.clock, self.drift, self.defect, hint, busy, check
-        text = "; ".join(filter(None, known))
+        hint = self._noted("hint") if latest.kind == REJECTED else ""
+        load = self._overloaded(now_s) or (self._noted("load") if latest.kind == SEARCHING else "")
+        text = _joined(latest.text, self._noted("clock", "drift", "defect"), hint, load, check)
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
     def _bus_silent_s(self, bus_s: float | None) -> float:
@@ -201,28 +213,32 @@ class SensorBook:
         )
 
     def _doubtful(self, now_s: float) -> InputState:
-        if self.sync.ptp == "unlocked":
-            offset_s = self.sync.ptp_offset_s
+        if self._sync.ptp == "unlocked":
+            offset_s = self._sync.ptp_offset_s
             offset = "" if offset_s is None else f", it is {offset_s:.6f} s off"
             return InputState(
                 Health.WARN, f"{self.name}: its clock is not locked to PTP{offset}; look at ptp4l"
             )
-        if known := "; ".join(filter(None, (self.clock, self.drift, self.defect, self._overloaded(now_s)))):
+        if known := _joined(self._noted("clock", "drift", "defect"), self._overloaded(now_s)):
             return InputState(Health.WARN, f"{self.name}: {known}")
         unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
         if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
             return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
         weak = [frame.weak_support for frame in self._recent if frame.weak_support]
-        if len(weak) > max(1.0, DOUBTFUL_SHARE * len(self._recent)):
+        begins, ends = self._limits.max_beginning_share, self._limits.max_contradicted_share
+        if len(weak) > max(1.0, begins * len(self._recent)):
             return InputState(
                 Health.WARN,
                 f"{self.name}: {len(weak)} of {len(self._recent)} frames support the pose too little: "
-                f"{weak[-1]}; a track ends if a quarter of the frames are such, and none begins above an "
-                "eighth; compare model and target (shape, materials), and check lens and exposure",
+                f"{weak[-1]}; a track ends if more than {100.0 * ends:g}% of the frames are such, and none "
+                f"begins above {100.0 * begins:g}%; compare model and target (shape, materials), and check "
+                "lens and exposure",
             )
-        if self.repeats < LEAST_FRAMES:
+        if self._repeats < LEAST_FRAMES:
             return OK
-        text = f"{self.name}: its last {self.repeats + 1} frames are identical to the bit; restart its driver"
+        text = (
+            f"{self.name}: its last {self._repeats + 1} frames are identical to the bit; restart its driver"
+        )
         return InputState(Health.WARN, text)
 
     def _overloaded(self, now_s: float) -> str:
@@ -231,16 +247,20 @@ class SensorBook:
         processed = sum(now_s - frame.time_s <= WINDOW_S for frame in self._recent)
         if dropped < LEAST_FRAMES or dropped <= processed:
             return ""
-        remedy = ("end other work, or " if self.busy else "") + "lower the sensor's rate or its image size"
+        load = self._noted("load")
+        remedy = ("end other work, or " if load else "") + "lower the sensor's rate or its image size"
         text = f"{dropped} of {dropped + processed} frames dropped: they come faster than they are processed"
-        return "; ".join(filter(None, (text, self.busy, remedy)))
+        return _joined(text, load, remedy)
+
+    def _noted(self, *about: Note) -> str:
+        return _joined(*(self._notes.get(each, "") for each in about))
 
     def _silence(self, silent_s: float, of_time: str = "", *, others: bool) -> str:
         time = f"{silent_s:.0f} s{of_time}"
         if others:
             return f"no {self._leading} for {time}, only other parts of its frames; look at its driver"
         if self._heard_s is None:
-            return f"no frame yet in {time}; {self.instead or 'is its driver running?'}"
+            return f"no frame yet in {time}; {self._noted('instead') or 'is its driver running?'}"
         return f"no frame for {time}; look at its driver, and at the link to it"
 
 
@@ -260,6 +280,10 @@ def unused(frame: GivenUp, leading: str) -> str:
     parts = sorted(frame.parts)
     are = "is" if len(parts) == 1 else "are"
     return f"{' and '.join(parts)} {are} not used without {_lack(leading, step_ns)}"
+
+
+def _joined(*texts: str) -> str:
+    return "; ".join(filter(None, texts))
 
 
 def _lack(part: str, step_ns: int | None) -> str:

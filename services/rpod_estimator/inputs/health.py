@@ -4,12 +4,12 @@ import logging
 
 from pydantic import ValidationError
 
-from rpod_estimator.estimator import SLOW_SEARCH
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import (
     OK,
     REJECTED,
     SEARCHING,
+    USUAL_LIMITS,
     WINDOW_S,
     InputState,
     Loss,
@@ -18,12 +18,12 @@ from rpod_estimator.inputs.book import (
     unused,
 )
 from rpod_estimator.inputs.refusals import Refusals
-from rpod_pose.navigation.first_pose.searches import PAUSED
-from rpod_pose.navigation.state import Output
+from rpod_pose.navigation.state import Cause, Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
 from rpod_runtime.health import HealthBook
 from rpod_runtime.process.load import busy_machine
+from rpod_schemas.config.estimator.estimator import NavigatorTuning
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.texts import without_figures
 from rpod_schemas.types import Diagnostic, Health, Mode, SensorSync
@@ -44,14 +44,21 @@ class InputHealth:
         leading: leading part of each sensor's frames, by sensor.
         now_s: time, s, of the monotonic clock, as in all methods.
         silence_s: least time without a frame after which a sensor is silent, s.
+        limits: limits by which the navigator begins and ends tracks.
     """
 
     def __init__(
-        self, health: HealthBook, leading: dict[str, str], *, now_s: float, silence_s: float = WINDOW_S
+        self,
+        health: HealthBook,
+        leading: dict[str, str],
+        *,
+        now_s: float,
+        silence_s: float = WINDOW_S,
+        limits: NavigatorTuning = USUAL_LIMITS,
     ) -> None:
         self._health, self._leading = health, leading
         self.books = {
-            sensor: SensorBook(sensor, part, now_s=now_s, silence_s=silence_s)
+            sensor: SensorBook(sensor, part, now_s=now_s, silence_s=silence_s, limits=limits)
             for sensor, part in leading.items()
         }
         self._reported: dict[str, tuple[InputState, float]] = {}
@@ -69,15 +76,17 @@ class InputHealth:
         book, status = self.books[arrived.sensor], output.status
         if arrived.refused == Reason.SECOND_PUBLISHER:
             return  # reported as one of two publishers
-        if output.search == PAUSED:
+        if output.paused:
             self._health.count(f"dropped/{arrived.sensor}")
         if output.search and not output.why:  # the result of the search is reported at its own frame
             return
-        book.repeats, book.defect, book.hint = arrived.repeats, arrived.defect, arrived.hint
+        book.note_repeats(arrived.repeats)
+        book.note("defect", arrived.defect)
+        book.note("hint", arrived.hint)
         if status.accepted:
             book.use(now_s, output.weak_support)
         else:
-            kind = SEARCHING if output.why.startswith(SLOW_SEARCH) else REJECTED
+            kind = SEARCHING if output.cause is Cause.SLOW_SEARCH else REJECTED
             book.lose(Loss(arrived.refused or kind, output.why), now_s)
 
     def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
@@ -107,7 +116,7 @@ class InputHealth:
                 text = f"sync/{sensor}/{problem['loc'][0]} of {diagnostic.name}: {problem['msg']}"
                 raise MessageRejectedError(Reason.MALFORMED, text) from error
             if sync is not None:
-                book.sync = sync
+                book.note_sync(sync)
                 for name, value in sync.values(sensor).items():
                     self._health.set_text(name, value)
 
@@ -125,7 +134,7 @@ class InputHealth:
     def _update(self, now_s: float, bus_s: float | None) -> InputState:
         states, busy = [], busy_machine()
         for sensor, book in self.books.items():
-            book.busy = busy
+            book.note("load", busy)
             self._health.put(f"inputs/{sensor}/used", book.used)
             for kind, frames in book.lost.items():
                 self._health.put(f"inputs/{sensor}/not_used/{kind}", frames)

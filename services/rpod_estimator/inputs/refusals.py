@@ -15,7 +15,7 @@ STREAM_S = 5.0
 """Time for which a refused message of a stream is reported: a driver's diagnostics come once a second."""
 _MOST = 100
 """Largest number of publishers whose refused messages are reported."""
-_TOLD_ELSEWHERE = frozenset({Reason.SECOND_PUBLISHER, Reason.DUPLICATE})
+_REPORTED_ELSEWHERE = frozenset({Reason.SECOND_PUBLISHER, Reason.DUPLICATE})
 """Reasons to refuse a message that do not show an error of it; a second publisher is reported elsewhere."""
 _REMEDY = {
     True: "it is not used, the one before it still counts; correct its publisher",
@@ -39,7 +39,9 @@ class Refusals:
     def refuse(self, received: Received, error: MessageRejectedError) -> None:
         """Note that a message was refused."""
         topic, place = received.topic, (received.topic.name, received.session)
-        if error.reason in _TOLD_ELSEWHERE or (place not in self._refusals and len(self._refusals) >= _MOST):
+        if error.reason in _REPORTED_ELSEWHERE or (
+            place not in self._refusals and len(self._refusals) >= _MOST
+        ):
             return
         until_s = float("inf") if topic.latched else received.arrival_s + STREAM_S
         text = f"{topic.name} is refused, {error}; {_REMEDY[topic.latched]}"

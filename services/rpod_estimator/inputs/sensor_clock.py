@@ -52,7 +52,7 @@ class SensorClock:
             self._health.measure(f"clock_drift_ppm/{self._name}", self._ages.drift_ppm)
         if self._drift.add(stamp_ns, arrival_ns):
             drift = self._drift.drift(self._sigma_s)
-            self._book.drift = drift.describe(self._sigma_s) if drift is not None else ""
+            self._book.note("drift", drift.describe(self._sigma_s) if drift is not None else "")
 
     def check_step(self, leading: Received, stamp_ns: int) -> None:
         """Check that the clock was not set since the previous frames. Raises ``MessageRejectedError``."""
@@ -72,7 +72,7 @@ class SensorClock:
         self._end.add(last, stamp_ns, sent_ns=leading.attachment.stamp_ns, arrival_ns=leading.arrival_ns)
         self._health.measure(f"arrives_after_s/{self._name}", self._end.after_s)
         finding = self._end.finding(clock_sigma_s=self._sigma_s, within_s=self._within_s)
-        self._book.clock = finding.text if finding is not None else ""
+        self._book.note("clock", finding.text if finding is not None else "")
         if self._end.is_settled and not was_settled:
             log.info("%s: frames arrive %s", self._name, self._end.text)
 

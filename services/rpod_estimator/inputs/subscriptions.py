@@ -42,8 +42,9 @@ _MOST_REFUSED = 500
 """Largest number of refused frames that wait for their status; further ones are counted as dropped."""
 _MOST_MOUNTS = 50
 """Largest number of mounts that are written to the log."""
-_CLOCK_LAG_S = 0.2
-"""Longest time that a clock message may arrive after a frame that was published later."""
+_CLOCK_LAG_S, _STANDING_S = 0.2, 5.0
+"""Longest time that a clock message may arrive after a frame that was published later; and that time in
+lockstep, where the clock waits for the frame and a machine may be loaded."""
 
 
 class FrameRefusedError(MessageRejectedError):
@@ -66,7 +67,11 @@ class Subscriptions:
         """Time up to which all received messages have been processed, monotonic clock."""
         silence_s = LOCKSTEP_SILENCE_S if config.in_lockstep else WINDOW_S
         self.health = InputHealth(
-            node.health, self._reader.leading, now_s=self.heard_until_s, silence_s=silence_s
+            node.health,
+            self._reader.leading,
+            now_s=self.heard_until_s,
+            silence_s=silence_s,
+            limits=config.navigator.tuning,
         )
         self._clocks = {
             sensor.name: SensorClock(sensor, config, self.health.books[sensor.name], node.health)
@@ -164,7 +169,7 @@ class Subscriptions:
         for name, (sensor, part) in self._reader.parts.items():
             if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:
                 refused = self._node.health.rejection(name)
-                self.health.books[sensor].instead = self._published.instead(name, refused)
+                self.health.books[sensor].note("instead", self._published.instead(name, refused))
         self._node.health.put("overflowed/inbox", self._waiting.overflowed)
 
     def _take_all(self, parts: list[Received]) -> None:
@@ -284,7 +289,8 @@ class Subscriptions:
         """Check a stamp against the time of arrival: the estimator's own delay does not count."""
         now_ns, clock = received.arrival_ns, self._node.clock
         if isinstance(clock, BusClock):
-            clock.await_ns(stamp_ns - round(self._config.max_future_s * NANOSECONDS), _CLOCK_LAG_S)
+            earliest_ns = stamp_ns - round(self._config.max_future_s * NANOSECONDS)
+            clock.await_ns(earliest_ns, _CLOCK_LAG_S, standing_s=_STANDING_S)
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > self._config.max_age_s:

@@ -187,7 +187,7 @@ class GlobalSearch:
         return found
 
     def _along_weak(self, search: ScanSearch, pose: Pose) -> list[Pose]:
-        """Return the poses along the motions that the faces tell least, likeliest first."""
+        """Return the poses along the motions that the faces determine least, likeliest first."""
         start, found = PoseArrays(pose.R, pose.t), list[Pose]()
         spacing_m = search.scanner.reach.spacing_rad * float(np.linalg.norm(pose.t))
         least = pose.fit.log_likelihood - self._tuning.rival_log_likelihood

@@ -348,7 +348,7 @@ def _with_least_covariance(registration: Registration, spread: FloatArray) -> Re
 
 
 def with_false_returns(found: Registration, seen: SeenScan, cleaned: SeenScan) -> Registration:
-    """Return a registration in a cleaned scan, whose evidence tells the number of false returns."""
+    """Return a registration in a cleaned scan, whose evidence has the number of false returns."""
     false = {"false_returns": float(seen.returns - cleaned.returns)}
     return replace(found, belief=replace(found.belief, evidence={**found.belief.evidence, **false}))
 

@@ -13,7 +13,7 @@ import numpy as np
 from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.filter import POSE, FilterState, predict
 from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
-from rpod_pose.navigation.state import NavigatorState
+from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
@@ -61,6 +61,12 @@ class Coasting:
             at_least_s=self._stale_after_s,
             unknown_s=self._limits.silence_timeout_s,
         )
+
+    def judged(self, state: NavigatorState, output: Output) -> Output:
+        """Return an output with the reason why its covariance makes the estimate unusable, if it does."""
+        if output.odometry is None:
+            return output
+        return replace(output, unusable=self.unusable(state, output.odometry.stamp_ns))
 
     def unusable(self, state: NavigatorState, stamp_ns: int) -> str:
         """Return how the covariance of the estimate at a stamp exceeds the alert limit; empty if it does not.

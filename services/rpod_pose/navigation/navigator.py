@@ -19,7 +19,6 @@ from typing import overload
 
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.challenger import Outcome
 from rpod_pose.navigation.coasting import Coasting
@@ -33,6 +32,7 @@ from rpod_pose.navigation.first_pose.searches import BEGUN, FOUND, Found, Inline
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.refusals import Refusals
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
@@ -47,7 +47,7 @@ from rpod_pose.navigation.sensors.streams import (
     supported,
     unsupported_s,
 )
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
@@ -132,7 +132,7 @@ class Navigator:
             state = replace(state, shown_ns=output.odometry.stamp_ns)
         if state.mode == Mode.TRACKING and not before.mode.has_track:  # no sensor needs a search any more
             state = replace(state, searches={})
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)
 
     def _process(self, state: NavigatorState, event: Measurement) -> tuple[NavigatorState, Output]:
         """Apply the result of the sensor's search, if there is one, and then the measurement."""
@@ -154,7 +154,9 @@ class Navigator:
         """Process a measurement: with rivals, without a pose, or with a predicted pose."""
         if state.rivals is not None:
             return self._track_rivals(state, state.rivals, event)
-        if state.mode == Mode.ACQUIRING or state.history is None or self._gave_up(state, event):
+        if state.mode == Mode.ACQUIRING or state.history is None:
+            return self._acquire(state, event)
+        if state.lost_s(event.stamp_ns) > self._limits.near_search_s:  # to predict it takes longer and longer
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
@@ -168,9 +170,9 @@ class Navigator:
         if state.mode == Mode.LOST:
             return self._recover(state, predicted, event)
         if why := self._ranges.beyond(event.sensor, event.T_chaser_sensor.inv(), predicted.T_chaser_target):
-            if event.sensor in state.established:  # a pose that this sensor cannot verify is dropped
-                return self._reject(state, event, None, reason=why)
-            return state, self._output(state, event, reason=why)
+            if state.mode == Mode.VERIFYING and event.sensor in state.established:
+                state = state.acquiring()  # this sensor cannot verify the pose
+            return state, self._output(state, event, reason=why, cause=Cause.OUT_OF_RANGE)
         if state.established and event.sensor not in state.established:
             return self._newcomers.offer(state, history, event)
         return self._track(state, history, predicted, event)
@@ -182,7 +184,7 @@ class Navigator:
         aged, why = self._coasting.aged(state, stamp_ns)
         reason = f"{why}; {reason}" if aged.mode == Mode.LOST and why else reason
         state, output = self._results.silent(aged, stamp_ns, reason, sensor=sensor)
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)
 
     def waiting(self, state: NavigatorState, search: Search, found: Found) -> Output:
         """Return the report about a search whose result waits for the next frame of its sensor.
@@ -193,13 +195,7 @@ class Navigator:
         reason = "" if found_one else found.acquisition.belief.refusal or search.reason
         report = FOUND if found_one else ""
         output = self._output(state, search.event, registration, reason=reason, search=report)
-        return self._with_usability(state, output.with_evidence(BEGUN, 1.0))
-
-    def _with_usability(self, state: NavigatorState, output: Output) -> Output:
-        """Return an output with the reason why its covariance makes the estimate unusable, if it does."""
-        if output.odometry is None:
-            return output
-        return replace(output, unusable=self._coasting.unusable(state, output.odometry.stamp_ns))
+        return self._coasting.judged(state, output.with_evidence(BEGUN, 1.0))
 
     # --- searches ---
 
@@ -288,8 +284,7 @@ class Navigator:
             search = self._registrar.around(state.joints, event, predicted)
             search = replace(search, registration=registration, reason=reason)
             if not state.established:  # a given pose that the first frame does not confirm
-                state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
-                search = replace(search, frame=event.data)
+                state, search = state.acquiring(), replace(search, frame=event.data)
             return self._start_search(state, search)
         return self._registered(state, history, predicted, event, registration, reason=reason)
 
@@ -304,33 +299,21 @@ class Navigator:
         reason: str,
     ) -> tuple[NavigatorState, Output]:
         """Apply a registration: record its belief, update the filter, accept or reject the pose."""
-        tracked = state.mode.has_track
-        record = state.records.get(event.sensor, Record())
-        if registration.T_sensor_target is not None:
-            record = record.after(registration.belief)
-        state = replace(state, records={**state.records, event.sensor: record})
-        if tracked and record.share > self._limits.tuning.max_contradicted_share:
-            share = f"{record.share:.0%} of the recent frames do not support the tracked pose"
+        tracked, state = state.mode.has_track, state.recorded(event.sensor, registration)
+        unsupported = state.unsupported_share(event.sensor)
+        if tracked and unsupported > self._limits.tuning.max_contradicted_share:
+            share = f"{unsupported:.0%} of the recent frames do not support the tracked pose"
             state = state.lost(event.stamp_ns)
             why = reason or registration.belief.reason or "the newest frame does"
             return self._reject(state, event, registration, reason=f"{share}: {why}")
         if reason:
             return self._reject(state, event, registration, reason=reason)
-        alone = tracked and registration.belief.is_proof
-        proven = alone and registration.begins_track
-        measured = replace(as_measured(registration, event, state.streams.get(event.sensor)), alone=alone)
+        measured = as_measured(registration, event, state.streams.get(event.sensor))
+        measured = replace(measured, alone=tracked and registration.belief.is_proof)
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:
-            if proven:
-                started = self._beginning.filter_at(measured, predicted)
-                state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
-                if outcome == Outcome.LOST:
-                    return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
-                if outcome == Outcome.REPLACED:
-                    state = self._accepting(state, event, registration)
-                    return state, self._output(state, event, registration, nis=nis)
             reason = self._refusals.explain(history, predicted, measured, nis=nis, tracked=tracked)
-            return self._reject(state, event, registration, reason=reason, nis=nis)
+            return self._refused(state, predicted, measured, event, registration, reason=reason, nis=nis)
         verified = state.confirmations >= self._limits.confirmations - 1 and self._beginning.is_credible(
             state, event.sensor
         )
@@ -338,6 +321,28 @@ class Navigator:
         mode = state.mode if tracked or verified else Mode.VERIFYING
         state = replace(state, mode=mode, established=state.established | {event.sensor})
         return state, self._output(state, event, registration, nis=nis)
+
+    def _refused(
+        self,
+        state: NavigatorState,
+        predicted: FilterState,
+        measured: PoseMeasurement,
+        event: Measurement,
+        registration: Registration,
+        *,
+        reason: str,
+        nis: float,
+    ) -> tuple[NavigatorState, Output]:
+        """Decide about a pose that the gate refuses; one that its frame proves may end the track."""
+        if measured.alone and registration.begins_track:
+            started = self._beginning.filter_at(measured, predicted)
+            state, outcome = challenged(state, predicted, measured, started, self._settings.filter)
+            if outcome == Outcome.LOST:
+                return state, self._output(state, event, registration, reason=outcome.value, nis=nis)
+            if outcome == Outcome.REPLACED:
+                state = self._accepting(state, event, registration)
+                return state, self._output(state, event, registration, nis=nis)
+        return self._reject(state, event, registration, reason=reason, nis=nis)
 
     def _accepting(
         self, state: NavigatorState, event: Measurement, registration: Registration
@@ -355,22 +360,17 @@ class Navigator:
         self,
         state: NavigatorState,
         event: Measurement,
-        registration: Registration | None,
+        registration: Registration,
         *,
         reason: str,
         nis: float = float("nan"),
     ) -> tuple[NavigatorState, Output]:
         """Continue with the prediction; drop a pose that fails verification."""
         if state.mode == Mode.VERIFYING:
-            state = replace(state, mode=Mode.ACQUIRING, history=None, before_loss=None)
+            state = state.acquiring()
         return state, self._output(state, event, registration, reason=reason, nis=nis)
 
     # --- LOST ---
-
-    def _gave_up(self, state: NavigatorState, event: Measurement) -> bool:
-        """Return whether a lost track is too old to be predicted, which would take longer and longer."""
-        lost_s = (event.stamp_ns - state.lost_ns) / NANOSECONDS
-        return state.mode == Mode.LOST and lost_s > self._limits.near_search_s
 
     def _recover(
         self, state: NavigatorState, predicted: FilterState, event: Measurement
@@ -378,9 +378,10 @@ class Navigator:
         """Search near the prediction first, then everywhere."""
         registration, why = self._registrar.register(state.joints, event, predicted, tracked=False)
         if not why:
-            why = self._ranges.not_of(event.sensor, registration)
-            state = state if why else self._beginning.at_found(state, event, registration)
-            return state, self._output(state, event, registration, reason=why)
+            if why := self._ranges.not_of(event.sensor, registration):
+                return state, self._output(state, event, registration, reason=why, cause=Cause.OUT_OF_RANGE)
+            state = self._beginning.at_found(state, event, registration)
+            return state, self._output(state, event, registration)
         if waiting := state.waiting(event.sensor, event.stamp_ns):
             return state, self._output(state, event, search=waiting)
         search = self._registrar.around(state.joints, event, predicted)
@@ -395,4 +396,4 @@ class Navigator:
         state, reason = self._coasting.aged(state, tick.stamp_ns)
         reason = reason or f"no frame for {silent_s:.1f} s"
         state, output = self._results.silent(state, tick.stamp_ns, reason)
-        return state, self._with_usability(state, output)
+        return state, self._coasting.judged(state, output)

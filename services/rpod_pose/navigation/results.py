@@ -11,7 +11,7 @@ from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import evidence_of
 from rpod_pose.navigation.filter import predict, to_odometry
 from rpod_pose.navigation.joints import JointTrack
-from rpod_pose.navigation.state import NavigatorState, Output, RefusedPixels
+from rpod_pose.navigation.state import Cause, NavigatorState, Output, RefusedPixels
 from rpod_pose.ports import Acquisition, Angle, Registration
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
@@ -41,7 +41,9 @@ class Results:
         registration: Registration | None = None,
         *,
         reason: str = "",
+        cause: Cause = Cause.OTHER,
         search: str = "",
+        paused: bool = False,
         nis: float = float("nan"),
         found: Acquisition | None = None,
     ) -> Output:
@@ -52,7 +54,9 @@ class Results:
             event: the measurement.
             registration: result of the sensor's method; None if the frame was not registered.
             reason: why the pose was not accepted; empty if it was.
+            cause: kind of this reason.
             search: report about a search of the sensor's frames; empty if there is none.
+            paused: whether the frame was not searched because the number of searches is limited.
             nis: normalised innovation squared; NaN if the filter was not updated.
             found: the result of a search without a guess, where one was made.
         """
@@ -88,7 +92,15 @@ class Results:
         used = registration if odometry and not reasons else None
         weak_support = "" if reasons else measured.belief.reason
         return Output(
-            status, odometry, refused, joints, weak_support=weak_support, measured=used, search=search
+            status,
+            odometry,
+            refused,
+            joints,
+            weak_support=weak_support,
+            measured=used,
+            cause=cause,
+            search=search,
+            paused=paused,
         )
 
     def silent(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum, auto
 
 from scipy.spatial.transform import RigidTransform
 
@@ -16,7 +17,18 @@ from rpod_pose.navigation.sensors.joining import Separation
 from rpod_pose.navigation.sensors.streams import Stream, supported_ns
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import LOST_AFTER_S, EstimatorStatus, Joints, Mode, Odometry, Source
+
+
+class Cause(Enum):
+    """Kind of the reason for which a frame is not used, for code that decides by it."""
+
+    OTHER = auto()
+    OUT_OF_RANGE = auto()
+    """The sensor is configured for other distances."""
+    SLOW_SEARCH = auto()
+    """The frame came while a search for a first pose takes long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +91,25 @@ class NavigatorState:
         unseen_ns = None if seen else supported_ns(self.streams)
         return replace(self, mode=Mode.LOST, lost_ns=stamp_ns, before_loss=left, unseen_ns=unseen_ns)
 
+    def lost_s(self, stamp_ns: int) -> float:
+        """Return the time for which the target has been lost at a stamp, s; 0 if it is not lost."""
+        return (stamp_ns - self.lost_ns) / NANOSECONDS if self.mode == Mode.LOST else 0.0
+
+    def recorded(self, sensor: str, registration: Registration) -> "NavigatorState":
+        """Return this state after a registration, which is recorded if it gives a pose."""
+        record = self.records.get(sensor, Record())
+        if registration.T_sensor_target is not None:
+            record = record.after(registration.belief)
+        return replace(self, records={**self.records, sensor: record})
+
+    def unsupported_share(self, sensor: str) -> float:
+        """Return the share of a sensor's recent frames that did not support the tracked pose."""
+        return self.records.get(sensor, Record()).share
+
+    def acquiring(self) -> "NavigatorState":
+        """Return this state without its pose, which was not verified."""
+        return replace(self, mode=Mode.ACQUIRING, history=None, before_loss=None)
+
     def searching(self, search: Search) -> "NavigatorState":
         """Return this state while the result of a search is awaited."""
         return replace(self, searches={**self.searches, search.sensor: search})
@@ -123,8 +154,12 @@ class Output:
     """Pose that was measured in the frame, unfiltered, sensor axes; None without a track, or if the pose was
     refused."""
 
+    cause: Cause = Cause.OTHER
+    """Kind of the status's reason, if there is one."""
     search: str = ""
     """Report about a search of the sensor's frames, the end of the status's reason; empty for none."""
+    paused: bool = False
+    """Whether the frame was not searched because the number of unsuccessful searches is limited."""
     lost: str = ""
     """Why the track was lost before an accepted frame that begins it again; empty if it was not."""
     unusable: str = ""
@@ -136,10 +171,10 @@ class Output:
         reason = self.status.reason
         return reason.removesuffix(self.search).removesuffix("; ") if self.search else reason
 
-    def explained(self, why: str) -> "Output":
+    def explained(self, why: str, cause: Cause) -> "Output":
         """Return this output with another reason, before the report about a search."""
         reason = "; ".join(filter(None, (why, self.search)))
-        return replace(self, status=self.status.model_copy(update={"reason": reason}))
+        return replace(self, status=self.status.model_copy(update={"reason": reason}), cause=cause)
 
     def because(self, why: str) -> "Output":
         """Return this output with a reason before its own."""
@@ -166,6 +201,8 @@ class Output:
     def after_search(self, then: "Output", age_s: float) -> "Output":
         """Return this output of a frame at which the result of a search was applied.
 
+        If neither frame is used, the search's reason and its cause come first.
+
         Args:
             then: the output of the search, at the stamp of the searched frame.
             age_s: time since that frame.
@@ -180,4 +217,5 @@ class Output:
             evidence = {**earlier.evidence, **status.evidence}
             changes |= {name: getattr(status, name) for name in kept} | {"evidence": evidence}
             status = earlier
-        return replace(self, status=status.model_copy(update=changes)).with_evidence(AGE_S, age_s)
+        both = replace(self, status=status.model_copy(update=changes), cause=then.cause)
+        return both.with_evidence(AGE_S, age_s)

@@ -15,7 +15,7 @@ from rpod_schemas.types import PmdFrame
 TYPICAL_BITS = 10
 """Bits of the typical amplitude of an image in counts. Numerics: a camera's image has 8 to 16 bits."""
 STRIDE = 3
-"""Stride of the pixels that tell the typical amplitude. Numerics: it needs no more than a power of 2."""
+"""Stride of the pixels that give the typical amplitude. Numerics: it needs no more than a power of 2."""
 
 
 def in_counts(frame: PmdFrame) -> PmdFrame:

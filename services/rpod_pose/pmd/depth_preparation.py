@@ -44,7 +44,7 @@ _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
 """Largest standard deviations with which a track begins at a predicted pose: of the position, over the radius
 of the target, and of the attitude, deg. Hand: a track converges from there; with a larger value, tracks would
 begin at poses that the frame does not determine."""
-_LEAST_TOLD, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
+_LEAST_KNOWN, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
 """Largest standard deviation of a first pose, over that of an unknown pose of a target in view. Physics: the
 frame then gives as much information as the knowledge that the target is in view. The second value is the
 standard deviation of an unknown angle, deg; for a position the radius stands for it."""
@@ -263,8 +263,8 @@ class PreparedAcquirer:
         registration = _determined(
             found.registration,
             self._preparation.observed(found.registration),
-            max_sigma_m=_LEAST_TOLD * target.radius_m,
-            max_sigma_deg=_LEAST_TOLD * _UNKNOWN_DEG,
+            max_sigma_m=_LEAST_KNOWN * target.radius_m,
+            max_sigma_deg=_LEAST_KNOWN * _UNKNOWN_DEG,
         )
         return replace(found, registration=registration)
 

@@ -4,7 +4,7 @@ On a pixel where both pose and frame show a surface, the loss is half the square
 deviations, of the depth and of the amplitude, and saturates at the loss of an outlier. On a pixel where only
 one of them shows a surface, the loss is a constant: small if only the depth is missing, larger if the
 amplitude is inconsistent too. All pixels on which pose or frame show the target are compared, except those
-that a glint saturated: they tell nothing about the pose.
+that a glint saturated: they contain nothing about the pose.
 
 The expected amplitude is that of a Lambertian surface lit from the camera: the albedo of its class
 (``brightness``) times the cosine of incidence over the square of the range, up to one gain for the frame. The

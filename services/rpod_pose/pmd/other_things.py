@@ -152,7 +152,7 @@ def _every_fine(frame: PmdFrame) -> Every:
 def _noise_m(range_m: Float32Array, amplitude: Array) -> Float32Array | None:
     """Return the standard deviation of each range's noise, m, (height, width); None without neighbours.
 
-    It is proportional to one over the amplitude. The second differences of neighbouring ranges tell the
+    It is proportional to one over the amplitude. The second differences of neighbouring ranges give the
     factor, since a plane has none.
 
     Args:

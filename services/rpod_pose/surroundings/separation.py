@@ -32,7 +32,7 @@ beyond the mixed pixels of the outline."""
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 """A ray and those around it. Physics: 3 x 3."""
 AHEAD = 0.02
-"""Cosine to the boresight below which a ray is not ahead, and its slope tells no direction. Numerics: a slope
+"""Cosine to the boresight below which a ray is not ahead, and its slope gives no direction. Numerics: a slope
 of 50."""
 
 

@@ -177,7 +177,7 @@ def test_rows_without_a_return_between_others_are_named_only_where_scans_are_ref
     assert "write dead_rows: [7, 9, 11] for the sensor" in reader.hint
     assert reader.inconsistency == ""
     book = SensorBook("lidar", "points", now_s=0.0)
-    book.hint = reader.hint
+    book.note("hint", reader.hint)
     for number in range(1, 40):
         book.note_arrival(0.1 * number)
         book.use(0.1 * number)

@@ -4,12 +4,15 @@ import logging
 
 import pytest
 
+from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, SEARCHING, Loss, SensorBook, unpaired
 from rpod_estimator.inputs.health import InputHealth
+from rpod_pose.navigation.state import Cause, Output
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
 from rpod_runtime.sensor_data.stamp_watch import clock_hint
-from rpod_schemas.types import Health, Mode
+from rpod_schemas.config.estimator.estimator import NavigatorTuning
+from rpod_schemas.types import EstimatorStatus, Health, Mode
 
 LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")
 REFUSED = Loss("rejected", "7.5% of 900 pixels are inconsistent with the pose, limit 5%")
@@ -63,7 +66,7 @@ BUSY = "this machine is busy: load 5.0 on 2 cores"
 )
 def test_frames_that_are_mostly_dropped_are_told_with_the_load_of_the_machine(busy, remedy):
     book, now_s = book_after([None] * 16)
-    book.busy = busy
+    book.note("load", busy)
     for _ in range(15):
         book.drop(now_s)
     assert book.state(now_s).level == Health.OK
@@ -79,7 +82,7 @@ def test_frames_that_are_mostly_dropped_are_told_with_the_load_of_the_machine(bu
 def test_a_search_that_takes_long_on_a_busy_machine_is_told_with_its_load():
     book, now_s = book_after([Loss(SEARCHING, "its search for a first pose takes long")] * 30)
     assert "busy" not in book.state(now_s).text
-    book.busy = BUSY
+    book.note("load", BUSY)
     assert BUSY in book.state(now_s).text
 
 
@@ -94,6 +97,45 @@ def test_frames_that_support_the_pose_too_little_are_told_although_they_are_used
     assert state.level == level
     words = "frames support the pose too little: 66% of the edges are in their place"
     assert (words in state.text) == (level == Health.WARN)
+
+
+def test_the_share_of_little_support_that_is_told_is_the_navigators():
+    book, now_s = (
+        SensorBook("pmd", "depth", now_s=0.0, limits=NavigatorTuning(max_contradicted_share=0.6)),
+        0.0,
+    )
+    told = []
+    for every in (4, 2):
+        for number in range(40):
+            now_s += 1.0 / 15.0
+            book.note_arrival(now_s)
+            book.use(now_s, "66% of the edges" if number % every == 0 else "")
+        told.append(book.state(now_s).text)
+    assert told[0] == ""
+    assert "a track ends if more than 60% of the frames are such, and none begins above 30%" in told[1]
+
+
+@pytest.mark.parametrize(
+    ("cause", "paused", "state", "dropped"),
+    [
+        (Cause.OTHER, False, Health.ERROR, 0),
+        (Cause.SLOW_SEARCH, False, Health.WARN, 0),
+        (Cause.OTHER, True, Health.ERROR, 30),
+    ],
+)
+def test_a_search_that_takes_long_is_no_error_and_a_frame_that_is_not_searched_is_counted(
+    cause, paused, state, dropped
+):
+    counted = HealthBook("estimator")
+    health = InputHealth(counted, {"pmd": "depth"}, now_s=0.0)
+    for number in range(30):
+        now_s = number / 10.0
+        status = EstimatorStatus(stamp_ns=number, frame_id="chaser", mode=Mode.ACQUIRING, reason="in words")
+        health.books["pmd"].note_arrival(now_s)
+        arrived = Arrived("pmd", number, now_s, None)
+        health.judge(arrived, Output(status, None, cause=cause, paused=paused), now_s)
+    assert health.books["pmd"].state(2.9).level == state
+    assert counted.counters().get("dropped/pmd", 0) == dropped
 
 
 @pytest.mark.parametrize(("shift_ns", "level"), [(0, Health.OK), (5_000_000, Health.WARN)])
@@ -199,7 +241,7 @@ def test_a_frame_without_a_part_says_which_one_and_how_far_off_it_is(step_ns, wo
 
 def test_a_doubt_about_used_frames_is_told():
     book, now_s = book_after([None] * 30)
-    book.defect = "all pixels of its amplitude are 128; correct its driver"
+    book.note("defect", "all pixels of its amplitude are 128; correct its driver")
     assert book.state(now_s) == (Health.WARN, "pmd: all pixels of its amplitude are 128; correct its driver")
 
 

@@ -1,6 +1,6 @@
 """What becomes of messages on their way to the navigator: taken, passed over, or refused with a reason."""
 
-from threading import Thread
+from threading import Timer
 from time import monotonic
 from types import SimpleNamespace
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rpod_estimator.frame_reader import _defect
+from rpod_estimator.inputs import subscriptions
 from rpod_estimator.inputs.book import Loss
 from rpod_estimator.inputs.subscriptions import Subscriptions
 from rpod_pose.navigation.state import Output
@@ -365,7 +366,8 @@ def test_a_frame_that_had_to_wait_is_not_late():
     assert bench.arrived()[0].measurement is not None
 
 
-def test_where_the_bus_owns_time_its_clock_judges():
+def test_where_the_bus_owns_time_its_clock_judges(monkeypatch):
+    monkeypatch.setattr(subscriptions, "_STANDING_S", 0.25)
     bench = Bench(time_source="clock")
     bench.node.clock.set(write_clock(5 * SECOND_NS))
     bench.send_frame(5 * SECOND_NS, arrival_ns=NOW_NS)
@@ -375,10 +377,11 @@ def test_where_the_bus_owns_time_its_clock_judges():
     assert taken.measurement is not None
 
 
-def test_a_clock_message_may_be_handed_over_behind_a_frame_that_was_published_after_it():
+@pytest.mark.parametrize("late_s", [0.0, 0.3])
+def test_a_clock_message_may_be_handed_over_behind_a_frame_that_was_published_after_it(late_s):
     bench = Bench(time_source="clock")
     bench.send_frame(5 * SECOND_NS)
-    late_clock = Thread(target=bench.node.clock.set, args=(write_clock(5 * SECOND_NS),))
+    late_clock = Timer(late_s, bench.node.clock.set, args=(write_clock(5 * SECOND_NS),))
     late_clock.start()
     (taken,) = bench.arrived()
     late_clock.join()
@@ -1269,7 +1272,7 @@ def test_the_images_of_an_estimator_are_no_sensor_that_sends_instead():
     bench = Bench()
     bench.node.came("own", CONTRADICTION)
     bench.arrived()
-    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].instead
+    assert "no sensor's topic is published" in bench.inputs.health.books["pmd"].state(monotonic() + 5.0).text
 
 
 # --- refused messages that are no frames, in the message of the diagnostics ---

@@ -6,7 +6,7 @@ import pytest
 
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, saturated_pixels
+from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, SensorReader, saturated_pixels
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError
@@ -233,6 +233,18 @@ def test_a_pattern_that_is_inferred_is_not_stated_by_the_lidar():
     )
     reader.learn(write_lidar_info(1, "lidar", info))
     assert reader.stated_info is reader.newest_info
+
+
+def test_a_reader_without_anything_to_tell_has_the_defaults_of_the_protocol():
+    class Plain(SensorReader):
+        newest_info = "info"
+
+        def learn(self, message): ...
+        def read(self, frame): ...
+
+    reader = Plain()
+    assert (reader.stated_info, reader.inconsistency, reader.hint) == ("info", "", "")
+    assert PmdReader().hint == ""
 
 
 def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog):

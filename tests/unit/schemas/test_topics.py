@@ -77,3 +77,11 @@ def test_the_message_files_equal_the_icd(name):
     file = ICD.parent / "rpod_msgs" / "msg" / f"{name}.msg"
     assert block is not None
     assert file.read_text("utf-8") == block[1]
+
+
+def test_the_icd_tells_its_history_in_the_table_of_versions_alone():
+    title, *rules, versions = re.split(r"^#+ ", ICD.read_text("utf-8").strip(), flags=re.M)[1:]
+    assert not re.findall(r"(?:new in|before|since) version \d\.\d", "".join(rules), re.I)
+    rows = re.findall(r"^\| (\d\.\d) \|", versions, re.M)
+    assert rows == sorted(rows)
+    assert title.startswith(f"Interface control document, version {rows[-1]}\n")

@@ -123,7 +123,7 @@ class NavigatorTuning(Tuning):
         ),
     ] = 0.25
     """Largest share of a sensor's recent frames, about 90, that may not support the tracked pose. Above it
-    the track is LOST at once. A hypothesis becomes a track below half of this share."""
+    the track is LOST at once. No track begins above half of this share."""
     most_rivals: Annotated[
         Annotated[int, Field(ge=1)],
         Provenance(
@@ -144,6 +144,14 @@ class NavigatorTuning(Tuning):
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals are given up for a new search if none of them is believed, s. Errors of the
     model that favour one of them count no longer than this."""
+
+    @property
+    def max_beginning_share(self) -> float:
+        """Largest share of frames that do not support the pose with which a track may begin.
+
+        It is half of the share at which a track is lost, so that tracks do not begin and end in turn.
+        """
+        return 0.5 * self.max_contradicted_share
 
 
 class NavigatorConfig(Config):

@@ -1,8 +1,8 @@
-"""Motions of a pose that the returns on faces tell least.
+"""Motions of a pose that the returns on faces determine least.
 
 A plate slides in its plane, and a part of a body of revolution turns about its axis: the returns stay on the
-faces, and the outline alone tells the place. The likelihood then has several optima along this motion, which
-may be many degrees apart. An alignment ends at one of them, and its information is that of one optimum.
+faces, and the outline alone determines the place. The likelihood then has several optima along this motion,
+which may be many degrees apart. An alignment ends at one of them, and its information is that of one optimum.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ MOST = 12
 
 
 def weakest_motions(information: FloatArray, radius_m: float) -> FloatArray:
-    """Return the motions (dtau, dtheta) of which an information matrix tells least, shape (MOTIONS, 6).
+    """Return the motions (dtau, dtheta) that an information matrix determines least, shape (MOTIONS, 6).
 
     Their length is 1 m, for turns that of the farthest point.
 

@@ -13,6 +13,7 @@ gyro and accelerometer. A state that no measurement observes keeps its prior.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,7 +107,7 @@ class FreeMotion:
         q = state.T_chaser_target.translation + arm_m
         u = state.velocity_m_s + np.cross(w, arm_m) + np.cross(before_rad_s, q)
         W = w + before_rad_s
-        to_centre = _to_centre(extras, state.size, R, q=q, arm_m=arm_m, w=w, chaser_rad_s=before_rad_s)
+        to_centre = _to_centre(extras, state.size, _Instant(R, q, arm_m, w, before_rad_s))
 
         body = self._turned(R.T @ W, extras, step_s)
         curved = self._curved(state, extras, to_centre, R=R, W=W, step_s=step_s)
@@ -135,7 +136,7 @@ class FreeMotion:
         Q[MOTION, MOTION] += _of_curvature(curved.spread, R_after, W_after)
 
         arm_m, w = R_after @ extras.centre_m, W_after - after_rad_s
-        back = _from_centre(extras, state.size, R_after, q=q, arm_m=arm_m, w=w, chaser_rad_s=after_rad_s)
+        back = _from_centre(extras, state.size, _Instant(R_after, q, arm_m, w, after_rad_s))
         after = replace(
             state,
             T_chaser_target=pose_of(R_after, q - arm_m),
@@ -212,18 +213,29 @@ def _faded(state: FilterState, step_s: float, chaser: ChaserStep, turned_rad: fl
     )
 
 
-def _to_centre(
-    extras: _Extras,
-    size: int,
-    R: FloatArray,
-    *,
-    q: FloatArray,
-    arm_m: FloatArray,
-    w: FloatArray,
-    chaser_rad_s: FloatArray,
-) -> FloatArray:
+class _Instant(NamedTuple):
+    """Pose and rates at the beginning or end of a step, chaser axes."""
+
+    R: FloatArray
+    """R_chaser_target, shape (3, 3)."""
+    q: FloatArray
+    """Position of the centre of mass, shape (3,), m."""
+    arm_m: FloatArray
+    """Vector from the target's origin to the centre of mass, shape (3,)."""
+    w: FloatArray
+    """Rate of the target relative to the chaser, shape (3,), rad/s."""
+    chaser_rad_s: FloatArray
+    """Rate of the chaser relative to inertial space, shape (3,)."""
+
+    @property
+    def crosses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Cross matrices of the arm and of the rates of target and chaser."""
+        return cross_matrix(self.arm_m), cross_matrix(self.w), cross_matrix(self.chaser_rad_s)
+
+
+def _to_centre(extras: _Extras, size: int, at: _Instant) -> FloatArray:
     """Return the Jacobian of (q, theta, u, W, blocks) with respect to the state, shape (12 + n, 12 + n)."""
-    arm, spin, own = cross_matrix(arm_m), cross_matrix(w), cross_matrix(chaser_rad_s)
+    arm, spin, own = at.crosses
     T = np.eye(size)
     T[POSITION, ATTITUDE] = -arm
     T[VELOCITY, POSITION] = own
@@ -231,27 +243,18 @@ def _to_centre(
     T[VELOCITY, RATE] = -arm
     if CENTRE_OF_MASS in extras.places:
         place = extras.places[CENTRE_OF_MASS]
-        T[POSITION, place] = R
-        T[VELOCITY, place] = (spin + own) @ R
+        T[POSITION, place] = at.R
+        T[VELOCITY, place] = (spin + own) @ at.R
     if GYRO_BIAS in extras.places:
         place = extras.places[GYRO_BIAS]
-        T[VELOCITY, place] = cross_matrix(q)
+        T[VELOCITY, place] = cross_matrix(at.q)
         T[RATE, place] = -np.eye(3)
     return T
 
 
-def _from_centre(
-    extras: _Extras,
-    size: int,
-    R: FloatArray,
-    *,
-    q: FloatArray,
-    arm_m: FloatArray,
-    w: FloatArray,
-    chaser_rad_s: FloatArray,
-) -> FloatArray:
+def _from_centre(extras: _Extras, size: int, at: _Instant) -> FloatArray:
     """Return the Jacobian of the state with respect to (q, theta, u, W, blocks): ``_to_centre`` inverted."""
-    arm, spin, own = cross_matrix(arm_m), cross_matrix(w), cross_matrix(chaser_rad_s)
+    arm, spin, own = at.crosses
     T = np.eye(size)
     T[POSITION, ATTITUDE] = arm
     T[VELOCITY, POSITION] = -own
@@ -259,11 +262,11 @@ def _from_centre(
     T[VELOCITY, RATE] = arm
     if CENTRE_OF_MASS in extras.places:
         place = extras.places[CENTRE_OF_MASS]
-        T[POSITION, place] = -R
-        T[VELOCITY, place] = -spin @ R
+        T[POSITION, place] = -at.R
+        T[VELOCITY, place] = -spin @ at.R
     if GYRO_BIAS in extras.places:
         place = extras.places[GYRO_BIAS]
-        T[VELOCITY, place] = arm - cross_matrix(q)
+        T[VELOCITY, place] = arm - cross_matrix(at.q)
         T[RATE, place] = np.eye(3)
     return T
 

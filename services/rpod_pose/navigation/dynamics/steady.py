@@ -1,11 +1,11 @@
-"""The test that tells a pose which the gate refused by chance from an acceleration.
+"""Test that distinguishes a pose refused by chance from an acceleration.
 
 The gate refuses one pose in a hundred although nothing accelerates, and it refuses wrong poses. The refused
-pose alone does not tell these from an acceleration, and a track that waited for more would lag behind one. So
-an acceleration is assumed at once (``manoeuvre``), and a second filter continues beside the track. It leaves
-the refused pose out, and expects no larger acceleration than configured. The next poses decide: behind an
-acceleration the second filter lags more and more; otherwise they are as near to it as its smaller covariance
-says.
+pose alone does not distinguish these from an acceleration, and a track that waited for more would lag behind
+one. So an acceleration is assumed at once (``manoeuvre``), and a second filter continues beside the track. It
+leaves the refused pose out, and expects no larger acceleration than configured. The next poses decide: behind
+an acceleration the second filter lags more and more; otherwise they are as near to it as its smaller
+covariance says.
 
 This is the sequential probability ratio test (A. Wald, Sequential tests of statistical hypotheses, Annals of
 Mathematical Statistics 16(2), 1945). Each filter states the density of a pose before it uses this pose.

@@ -1,6 +1,6 @@
 """The acceleration that a target may have in directions which no frame measures.
 
-A frame may leave directions of the pose open: of a face that fills the image, no pixel tells the turn about
+A frame may leave directions of the pose open: of a face that fills the image, no pixel shows the turn about
 its normal. While the target accelerates in the directions that are measured, the same robot or body may
 accelerate it in the open ones, with as much as a mission allows. No innovation shows this, so that no factor
 on the densities (``manoeuvre``) follows. A white acceleration would not do either: it turns a target by far

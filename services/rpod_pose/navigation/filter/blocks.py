@@ -90,11 +90,12 @@ def with_known(blocks: Sequence[Block], known: Known) -> Known:
 
     Those that it does not know are as before any measurement. Those that only it knows are added.
     """
-    told = {block.name: block for block in known.blocks}
+    given = {block.name: block for block in known.blocks}
     merged = tuple(
-        replace(block, value=told.pop(block.name).value) if block.name in told else block for block in blocks
+        replace(block, value=given.pop(block.name).value) if block.name in given else block
+        for block in blocks
     )
-    merged += tuple(told.values())
+    merged += tuple(given.values())
     covariance, places = np.diag(variances(merged)), {each.name: place for each, place in placed(merged, 0)}
     if known.blocks:
         there = np.r_[tuple(places[block.name] for block in known.blocks)]

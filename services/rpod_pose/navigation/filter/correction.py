@@ -171,7 +171,7 @@ def update(
     corrected = replace(
         state.corrected(correction), covariance=symmetric(reset @ joseph @ reset.T), sums=sums
     )
-    if any(block.considered for block in state.blocks):  # else the difference tells nothing of what is left
+    if any(block.considered for block in state.blocks):  # else it is uncorrelated with what is left
         found = found._replace(left=(noise @ gain.T - cross @ keep.T) @ reset.T)
     return Update(with_free_axes_unobserved(corrected, config), nis, accepted=True, innovation=found)
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Record
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState
@@ -24,9 +23,6 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.types import Mode
 from rpod_target import Equivalence, Joint
 
-BEGINNING = 0.5
-"""Largest share of unsupporting frames with which a track may begin, over the share at which a track is lost.
-Hand: the two shares differ, so that tracks do not begin and end in turn."""
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 0.05, 0.26
 """Standard deviations of a given first pose without a given covariance. Hand: 5 cm and 15 deg."""
 
@@ -75,8 +71,7 @@ class Beginning:
 
     def is_credible(self, state: NavigatorState, sensor: str) -> bool:
         """Return whether a track may begin: few recent frames of the sensor were inconsistent."""
-        share = state.records.get(sensor, Record()).share
-        return share <= BEGINNING * self._limits.tuning.max_contradicted_share
+        return state.unsupported_share(sensor) <= self._limits.tuning.max_beginning_share
 
     def at_found(
         self,

@@ -24,7 +24,7 @@ PREDICTED_S = 300.0
 """Longest time over which a filter is predicted, s. Numerics: readings of the IMU are kept for as long; a
 prediction of a tumbling body over hours would take minutes."""
 _SIGMAS = 3.0
-"""Standard deviations of a prediction within which an attitude must be known to be told from another one.
+"""Standard deviations of a prediction within which an attitude must be known to count as continued.
 Physics: one in 370 normal errors is larger."""
 
 

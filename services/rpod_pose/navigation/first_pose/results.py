@@ -12,7 +12,7 @@ from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import searched
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Methods, Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_target import Equivalence
@@ -52,11 +52,11 @@ class SearchResults:
         if found.nearby and not acquisition.begins_track:
             return state, self._output(state, event, reason=search.reason)
         if found.paused:
-            return state, self._output(state, event, search=PAUSED)
+            return state, self._output(state, event, search=PAUSED, paused=True)
         if not found.nearby:
             state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
         if why := self._ranges.not_of(event.sensor, registration):
-            return state, self._output(state, event, reason=why)
+            return state, self._output(state, event, reason=why, cause=Cause.OUT_OF_RANGE)
         if acquisition.begins_track:
             before, event = _frames_of(search, found)
             state = self._beginning.at_found(state, event, registration, before)

@@ -39,16 +39,15 @@ from rpod_pose.navigation.integrity.residuals import (
     separation_test,
 )
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
-from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import is_recent
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState, Mode
 
-NOT_TOLD = "; which of them is wrong is not known: calibrate both"
-"""Text that an offset between two mounts does not say which mount is wrong, with the remedy."""
+WRONG_ONE_UNKNOWN = "; which of them is wrong is not known: calibrate both"
+"""End of the report of an offset between two mounts, with the remedy."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
 """Limit of the levels if one of several sensors alone is not accurate enough for the alert limits."""
 SIZE_BELIEVED = (
@@ -196,7 +195,7 @@ class Monitor:
             if len(there) == 2:
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
-            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, NOT_TOLD))
+            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, WRONG_ONE_UNKNOWN))
             evidence |= offset.evidence
         return tests, evidence
 
@@ -332,7 +331,7 @@ class Monitor:
         A sensor that is configured for other distances says nothing about the estimate.
         """
         status = output.status
-        if not status.accepted and not status.reason.startswith(OUT_OF_RANGE):
+        if not status.accepted and output.cause is not Cause.OUT_OF_RANGE:
             return f"the newest measurement is not used: {status.reason}"
         if status.belief is not BeliefLevel.ACCEPTED:
             return "the newest measurement supports the pose weakly"

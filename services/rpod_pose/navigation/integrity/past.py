@@ -1,7 +1,7 @@
 """The estimate compared with its own past: with the predictions from where it was before.
 
 A contradiction means that the track has jumped, as to another attitude that looks alike, or that the target
-was accelerated by more than the filter's densities say. The test cannot tell which. So the alert lasts for as
+was accelerated by more than the filter's densities say. The test cannot know which. So the alert lasts for as
 long as both attitudes may be right, and names both causes.
 
 While no frame supports the track, the target may have got any velocity that a mission allows. Its velocity

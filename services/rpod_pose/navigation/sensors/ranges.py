@@ -9,9 +9,6 @@ from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.sensor import SensorInput
 
-OUT_OF_RANGE = "out of range"
-"""Beginning of the reason for which a sensor's frames are not used at a distance."""
-
 
 class Ranges:
     """Decides which sensors are out of their configured range.
@@ -42,4 +39,4 @@ class Ranges:
         if least_m <= range_m <= greatest_m:
             return ""
         used = f"range_m is {least_m:g} to {greatest_m:g}"
-        return f"{OUT_OF_RANGE}: the target is {how} at {range_m:.1f} m, {used}"
+        return f"out of range: the target is {how} at {range_m:.1f} m, {used}"

@@ -2,7 +2,7 @@
 
 A smoothed image shows an edge beside saturated pixels too far on its darker side, by a length that all such
 edges share. This shift is an unknown of the fit, which is eliminated from its normal equations. So these
-edges lose what they would tell together, and the others keep what they tell.
+edges lose the information that they have in common, and the others keep theirs.
 """
 
 import math

@@ -105,7 +105,7 @@ def uncertainty(
         whole: I^-1 with the errors of the target's model, shape (7, 7).
         lines: normal equations of the lines of edges.
         weak: information that stands for any pose of a target in view, which is in ``alone``, shape (7, 7).
-            Where a frame tells nothing, its error is that of this assumption, and none of the residuals.
+            Where a frame determines nothing, its error is that of this assumption, and none of the residuals.
         bias_m: standard deviation of the prior of the bias.
         radius_px: radius of the target in the image, px.
         wider: factor on all covariances, above 1 if the target is larger than the image. An image whose width

@@ -28,9 +28,8 @@ from rpod_pose.navigation.integrity.monitor import (
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
-from rpod_pose.navigation.sensors.ranges import OUT_OF_RANGE
 from rpod_pose.navigation.sensors.streams import Stream
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_pose.pose_evidence import Misfit, OtherSize, PartSolution
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
@@ -92,9 +91,7 @@ class Track:
             self.state = replace(self.state, history=grown)
         return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, frozen=frozen)
 
-    def judge(
-        self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False, reason="too few pixels"
-    ):
+    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False, cause=Cause.OTHER):
         newest = self.state.history.state
         odometry = Odometry(
             stamp_ns=max(stamp_ns, newest.stamp_ns), frame_id="chaser", child_frame_id="target_estimate",
@@ -103,9 +100,9 @@ class Track:
         )  # fmt: skip
         status = EstimatorStatus(
             stamp_ns=stamp_ns, frame_id="chaser", mode=self.state.mode, sensor=sensor, nis=nis,
-            accepted=accepted, reason="" if accepted else reason,
+            accepted=accepted, reason="" if accepted else "too few pixels",
         )  # fmt: skip
-        output = Output(status, odometry if self.state.mode is Mode.TRACKING else None)
+        output = Output(status, odometry if self.state.mode is Mode.TRACKING else None, cause=cause)
         self.memory, integrity = self.monitor.assess(self.memory, self.state, output, frozen=frozen)
         return integrity
 
@@ -172,9 +169,7 @@ def test_a_track_that_jumps_to_a_half_turn_is_an_alert_for_as_long_as_both_may_b
 
 def test_a_sensor_that_is_out_of_its_range_is_no_reason_for_caution(track):
     follow(track, PMD_S)
-    told = track.judge(
-        START_NS + 6 * SECOND_NS, sensor="lidar", accepted=False, reason=f"{OUT_OF_RANGE}: 1 m"
-    )
+    told = track.judge(START_NS + 6 * SECOND_NS, sensor="lidar", accepted=False, cause=Cause.OUT_OF_RANGE)
     assert told.state is IntegrityState.NOMINAL
 
 

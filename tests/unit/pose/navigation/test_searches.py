@@ -11,7 +11,7 @@ from rpod_estimator.search_process import found_as_in_process
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.navigation.first_pose.searches import AGE_S, BEGUN, SEARCHED, Found, Search
 from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.navigation.state import Output
+from rpod_pose.navigation.state import Cause, Output
 from rpod_pose.ports import Methods
 from rpod_pose.search.verified_search import VerifiedSearch
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
@@ -199,7 +199,20 @@ def test_what_is_told_of_a_search_is_kept_apart_from_the_frames_own_reason():
     status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.LOST, reason=words)
     told = Output(status, None)
     assert (told.why, told.search) == (words, "")
-    both = replace(told, search=SEARCHED).explained(words)
+    both = replace(told, search=SEARCHED).explained(words, Cause.SLOW_SEARCH)
     assert both.status.reason == f"{words}; {SEARCHED}"
-    assert both.why == words
-    assert replace(told, search=SEARCHED).explained("").why == ""
+    assert (both.why, both.cause) == (words, Cause.SLOW_SEARCH)
+    assert replace(told, search=SEARCHED).explained("", Cause.OTHER).why == ""
+
+
+@pytest.mark.parametrize("cause", [Cause.OTHER, Cause.OUT_OF_RANGE])
+def test_where_neither_the_searched_frame_nor_this_one_is_used_the_cause_is_that_of_the_reason_in_front(
+    cause,
+):
+    def output(reason: str, cause: Cause) -> Output:
+        status = EstimatorStatus(stamp_ns=1, frame_id="chaser", mode=Mode.LOST, reason=reason)
+        return Output(status, None, cause=cause)
+
+    both = output("too far", Cause.OUT_OF_RANGE).after_search(output("of the search", cause), 0.5)
+    assert both.status.reason.startswith("of the search, in the frame 0.50 s ago; too far")
+    assert both.cause is cause

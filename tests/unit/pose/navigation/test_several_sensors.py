@@ -10,6 +10,7 @@ from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.sensors.streams import heard, supported
+from rpod_pose.navigation.state import Cause
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import BeliefLevel, Mode
@@ -150,6 +151,7 @@ def test_a_sensor_beyond_its_configured_range_is_not_asked():
     desk = tracking_by_lidar(range_m=(0.0, 5.0))
     output = desk.see("pmd", good(START_S + 3.1))
     assert output.status.reason.startswith("out of range: the target is predicted at 6.")
+    assert output.cause is Cause.OUT_OF_RANGE
     assert output.status.reason.endswith("m, range_m is 0 to 5")
     assert desk.asked["pmd"].asked == []
     assert output.odometry is not None
@@ -160,6 +162,7 @@ def test_a_pose_that_a_search_finds_beyond_the_configured_range_begins_no_track(
     output = desk.see("pmd", good(START_S))
     assert output.status.mode == Mode.ACQUIRING
     assert output.status.reason.startswith("out of range: the target is found at 6.")
+    assert output.cause is Cause.OUT_OF_RANGE
 
 
 def test_a_range_that_does_not_rise_is_refused():

@@ -9,17 +9,15 @@ from rpod_mono_camera.frame import ENCODINGS, MonoFrame
 from rpod_mono_camera.kind import IMAGE
 from rpod_runtime import Node, Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import read_part, sized
+from rpod_runtime.frames import SensorReader, read_part, sized
 from rpod_runtime.sensors import announce_mount
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.messages import build, read_camera, read_image, write_camera, write_image
 from rpod_schemas.topics import CAMERA_INFO, optical_frame
 
 
-class MonoReader:
-    """Frames of a monocular camera, which says nothing of itself: rpod_runtime.frames.SensorReader."""
-
-    newest_info = None
+class MonoReader(SensorReader):
+    """Frames of a monocular camera, which publishes no info of itself."""
 
     def __init__(self, source: SourceConfig) -> None:
         """Take how the driver publishes; images need nothing of it."""
