@@ -37,7 +37,7 @@ from rpod_pose.navigation.refusals import Refusals
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.results import Results
 from rpod_pose.navigation.rivals import Rivals
-from rpod_pose.navigation.sensors.newcomers import LATE, Newcomers, applied
+from rpod_pose.navigation.sensors.newcomers import TOO_OLD, Newcomers, applied
 from rpod_pose.navigation.sensors.ranges import Ranges
 from rpod_pose.navigation.sensors.streams import (
     RESTS,
@@ -160,7 +160,7 @@ class Navigator:
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
-            return state, self._output(state, event, reason=LATE)
+            return state, self._output(state, event, reason=TOO_OLD)
         return self._with_prediction(state, state.history, predicted, event)
 
     def _with_prediction(
@@ -219,7 +219,7 @@ class Navigator:
             return self._found.first(state, search, found)
         predicted = state.history.at(search.event.stamp_ns, self._settings.filter)
         if predicted is None or search.registration is None:
-            return state, self._output(state, search.event, reason=LATE)
+            return state, self._output(state, search.event, reason=TOO_OLD)
         registration, reason = search.registration, search.reason
         if found.acquisition.begins_track:
             registration, reason = found.acquisition.registration, ""
@@ -247,7 +247,7 @@ class Navigator:
     ) -> tuple[NavigatorState, Output]:
         """Track each rival. When one is probable enough, search again: no other pose may be as probable."""
         if rivals.tracks[0].history.before(event.stamp_ns, self._settings.filter) is None:
-            return state, self._output(state, event, reason=LATE)
+            return state, self._output(state, event, reason=TOO_OLD)
         apart_s = (event.stamp_ns - rivals.since_ns) / NANOSECONDS
         methods = self._methods[event.sensor]
         tracked = self._parallel.continued(rivals, event, methods)

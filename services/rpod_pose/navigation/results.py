@@ -43,7 +43,6 @@ class Results:
         reason: str = "",
         cause: Cause = Cause.OTHER,
         search: str = "",
-        paused: bool = False,
         nis: float = float("nan"),
         found: Acquisition | None = None,
     ) -> Output:
@@ -56,7 +55,6 @@ class Results:
             reason: why the pose was not accepted; empty if it was.
             cause: kind of this reason.
             search: report about a search of the sensor's frames; empty if there is none.
-            paused: whether the frame was not searched because the number of searches is limited.
             nis: normalised innovation squared; NaN if the filter was not updated.
             found: the result of a search without a guess, where one was made.
         """
@@ -78,12 +76,7 @@ class Results:
             ambiguous=len(hypotheses) > 1,
             hypotheses=hypotheses,
             belief=measured.belief.level,
-            evidence={
-                **measured.belief.evidence,
-                **(state.rivals.evidence if state.rivals else {}),
-                **_sigmas_deg(measured.angles),
-                **(evidence_of(state.history.state) if state.history else {}),
-            },
+            evidence=_evidence(state, measured),
         )
         marks = measured.belief.marks if reasons else None
         refused = RefusedPixels(event.data.frame_id, marks) if marks is not None else None
@@ -100,7 +93,6 @@ class Results:
             measured=used,
             cause=cause,
             search=search,
-            paused=paused,
         )
 
     def silent(
@@ -139,6 +131,15 @@ class Results:
             return ()
         pose = state.history.state.T_chaser_target
         return _equally_probable([pose, *(pose * turn for turn in self._turns)])
+
+
+def _evidence(state: NavigatorState, measured: Registration) -> dict[str, float]:
+    return {
+        **measured.belief.evidence,
+        **(state.rivals.evidence if state.rivals else {}),
+        **_sigmas_deg(measured.angles),
+        **(evidence_of(state.history.state) if state.history else {}),
+    }
 
 
 def _equally_probable(poses: Sequence[RigidTransform]) -> tuple[Hypothesis, ...]:

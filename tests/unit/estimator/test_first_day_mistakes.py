@@ -12,8 +12,8 @@ from rpod_estimator.inputs.health import InputHealth
 from rpod_pose.measurement import Measurement
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import LidarReader
 from rpod_runtime.health import HealthBook
+from rpod_runtime.readers.lidar import LidarReader
 from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator import EstimatorConfig

@@ -14,7 +14,7 @@ from rpod_pose.methods import methods_of
 from rpod_pose.navigation.navigator import Navigator
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import LidarReader
+from rpod_runtime.readers.lidar import LidarReader
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig

@@ -6,7 +6,9 @@ import pytest
 
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import LidarReader, PartRejectedError, PmdReader, SensorReader, saturated_pixels
+from rpod_runtime.frames import PartRejectedError, SensorReader
+from rpod_runtime.readers.lidar import LidarReader
+from rpod_runtime.readers.pmd import PmdReader, saturated_pixels
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_schemas.config.source import SourceConfig
 from rpod_schemas.errors import MessageRejectedError

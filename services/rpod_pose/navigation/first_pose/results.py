@@ -52,7 +52,7 @@ class SearchResults:
         if found.nearby and not acquisition.begins_track:
             return state, self._output(state, event, reason=search.reason)
         if found.paused:
-            return state, self._output(state, event, search=PAUSED, paused=True)
+            return state, replace(self._output(state, event, search=PAUSED), paused=True)
         if not found.nearby:
             state = replace(state, streams=searched(state.streams, event.sensor, event.stamp_ns))
         if why := self._ranges.not_of(event.sensor, registration):

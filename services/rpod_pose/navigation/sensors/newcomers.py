@@ -17,7 +17,7 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.types import Mode
 
-LATE = "late: older than the filter's history"
+TOO_OLD = "older than the filter's history"
 """Reason for which a measurement is not used."""
 UNVERIFIED = "offered: another sensor verifies its first pose"
 """Reason for which a frame of another sensor than that of the first pose is not used."""
@@ -58,7 +58,7 @@ class Newcomers:
         separation = state.separation or Separation(history, history)
         predicted = separation.including.at(event.stamp_ns, self._config)
         if predicted is None:
-            return state, self._output(state, event, reason=LATE)
+            return state, self._output(state, event, reason=TOO_OLD)
         return self._compared(state, separation, predicted, event)
 
     def _compared(

@@ -14,6 +14,7 @@ from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approa
 from rpod.logs.replay import navigator_command
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import compare, configured_estimator, replay
+from rpod_pose.navigation.sensors.newcomers import TOO_OLD
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
 from rpod_schemas.logs import CONFIGURATION, REPLAY
@@ -106,10 +107,13 @@ def test_a_frozen_stream_is_an_alert_in_a_replay(run, tmp_path):
 
 
 def test_as_live_takes_the_frames_that_the_live_run_took(run, tmp_path):
-    """The live run of this log passed over every third frame, and refused one as late."""
+    """The live run of this log passed over every third frame, and refused one as late.
+
+    Another one was older than the filter's history. The replay gives it to the navigator, which decides.
+    """
 
     def frame(number, _time_s):
-        return Frame(reason="late: 1.2 s old, limit 1 s" if number == 4 else "")
+        return Frame(reason={4: "late: 1.2 s old, limit 1 s", 6: TOO_OLD}.get(number, ""))
 
     path = replace(run, frame=frame, skipped=lambda number: number % 3 == 2).write(tmp_path / "run.mcap")
     with open_log(path) as log:
