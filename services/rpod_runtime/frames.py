@@ -5,12 +5,12 @@ readers of the PMD camera and the LIDAR are in ``readers/``.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from rpod_runtime.assembler import Assembled, Assembler
 from rpod_runtime.delivery.inbox import Received
 from rpod_schemas.config.source import SourceConfig
-from rpod_schemas.errors import MessageRejectedError, Reason
+from rpod_schemas.errors import ConfigurationError, MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.registry import resolve
 from rpod_schemas.sensors import SensorKind
@@ -22,6 +22,7 @@ ICD = SourceConfig()
 """The source of a sensor that keeps to the interface control document."""
 
 
+@runtime_checkable
 class SensorReader(Protocol):
     """Reads the messages of one sensor. It is created as ``(source)``, how the sensor's driver publishes.
 
@@ -58,8 +59,11 @@ class SensorReader(Protocol):
 
 
 def open_reader(kind: SensorKind, source: SourceConfig = ICD) -> SensorReader:
-    """Return a new reader of a kind."""
-    reader: SensorReader = resolve(kind.reader)(source)
+    """Return a new reader of a kind. Raises ``ConfigurationError``: it lacks a part of ``SensorReader``."""
+    reader = resolve(kind.reader)(source)
+    if not isinstance(reader, SensorReader):
+        reason = f"{kind.reader} is no SensorReader; let it inherit from rpod_runtime.frames.SensorReader"
+        raise ConfigurationError(kind.name, "reader", reason)
     return reader
 
 

@@ -1,21 +1,24 @@
 """Readers of sensors: images as drivers send them, compressed, radial or saturated."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
-from rpod_runtime.frames import PartRejectedError, SensorReader
+from rpod_runtime.frames import PartRejectedError, SensorReader, open_reader
 from rpod_runtime.readers.lidar import LidarReader
 from rpod_runtime.readers.pmd import PmdReader, saturated_pixels
 from rpod_runtime.sensor_data.codecs import decompressed
 from rpod_schemas.config.source import SourceConfig
-from rpod_schemas.errors import MessageRejectedError
+from rpod_schemas.errors import ConfigurationError, MessageRejectedError
 from rpod_schemas.messages import write_camera, write_header, write_image, write_lidar_info, write_points
 from rpod_schemas.poses import make_pose
 from rpod_schemas.rmw.cdr import encode, message_class
 from rpod_schemas.rmw.wire import Attachment
+from rpod_schemas.sensors import sensor_kind
 from rpod_schemas.topics import AMPLITUDE, CAMERA_INFO, COMPRESSED_IMAGE, DEPTH, POINTS, Topic
 from rpod_schemas.types import Camera, LidarInfo
 
@@ -247,6 +250,22 @@ def test_a_reader_without_anything_to_tell_has_the_defaults_of_the_protocol():
     reader = Plain()
     assert (reader.stated_info, reader.inconsistency, reader.hint) == ("info", "", "")
     assert PmdReader().hint == ""
+
+
+class OldReader:
+    """A reader of a package from before the protocol had defaults."""
+
+    newest_info = None
+
+    def __init__(self, source): ...
+    def learn(self, message): ...
+    def read(self, frame): ...
+
+
+def test_a_reader_that_lacks_a_part_of_the_protocol_is_refused_with_the_remedy():
+    kind = replace(sensor_kind("pmd"), reader=f"{__name__}:OldReader")
+    with pytest.raises(ConfigurationError, match=r"pmd: reader: .*let it inherit from rpod_runtime\.frames"):
+        open_reader(kind)
 
 
 def test_staggered_rows_beside_a_stated_pattern_are_told_with_the_remedy(caplog):
