@@ -1,7 +1,7 @@
 """Memory of the integrity monitor from one frame to the next."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.past import Past
-from rpod_pose.navigation.integrity.residuals import Residual
+from rpod_pose.navigation.integrity.residuals import Residual, recent
 from rpod_schemas.arrays import FloatArray
 
 
@@ -31,6 +31,13 @@ class Memory:
     """Evidence in the sensors' own frames that the model or a part of the data is wrong."""
     mounts: Mapping[str, RigidTransform] = field(default_factory=dict)
     """Mounts T_chaser_sensor of the sensors, by name."""
+
+    def with_residual(self, sensor: str, residual: Residual, window_s: float) -> "Memory":
+        """Return the memory with one more residual of a sensor, without those older than a window, s."""
+        residuals = {**self.residuals, sensor: (*self.residuals.get(sensor, ()), residual)}
+        newest_ns = max(each[-1].stamp_ns for each in residuals.values())
+        kept = {name: recent(each, newest_ns, window_s) for name, each in residuals.items()}
+        return replace(self, residuals={name: each for name, each in kept.items() if each})
 
     def place_m(self, estimate: FilterState) -> FloatArray:
         """Return the target's position relative to the farthest sensor, chaser axes, shape (3,), m."""

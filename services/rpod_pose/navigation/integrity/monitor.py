@@ -19,7 +19,7 @@ import numpy as np
 from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
-from rpod_pose.navigation.history import after
+from rpod_pose.navigation.history import Step, after
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
@@ -33,7 +33,6 @@ from rpod_pose.navigation.integrity.older import older_solutions
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import (
     Statistic,
-    recent,
     residual_of,
     residual_tests,
     separation_test,
@@ -119,21 +118,18 @@ class Monitor:
         step = None
         if state.history is not None and np.isfinite(status.nis):
             step = state.history.applied_at(status.stamp_ns, status.sensor)
-        if step is None:
-            return memory
+        return memory if step is None else self._measured(memory, state, status.sensor, step)
+
+    def _measured(self, memory: Memory, state: NavigatorState, sensor: str, step: Step) -> Memory:
+        """Return the memory with a measurement that the filter has compared with its prediction."""
         predicted, measured = step.predicted, step.measurement
         if measured.origin is not None:
-            mount = measured.origin.T_chaser_sensor
-            memory = replace(memory, mounts={**memory.mounts, status.sensor: mount})
+            memory = replace(memory, mounts={**memory.mounts, sensor: measured.origin.T_chaser_sensor})
         residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
         if residual is not None:
-            found = (*memory.residuals.get(status.sensor, ()), residual)
-            residuals = {**memory.residuals, status.sensor: found}
-            newest_ns = max(each[-1].stamp_ns for each in residuals.values())
-            kept = {name: recent(each, newest_ns, self._tuning.window_s) for name, each in residuals.items()}
-            memory = replace(memory, residuals={name: each for name, each in kept.items() if each})
-        alone = _without_newcomers(state, status.sensor, measured.stamp_ns, self._filter)
-        without = self._without(memory, status.sensor, alone or predicted, predicted, measured)
+            memory = memory.with_residual(sensor, residual, self._tuning.window_s)
+        alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
+        without = self._without(memory, sensor, alone or predicted, predicted, measured)
         return replace(memory, without=without)
 
     def _without(
