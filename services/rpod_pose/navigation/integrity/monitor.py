@@ -238,7 +238,13 @@ class Monitor:
         )
         solutions += other_sizes
         place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
-        unseen = declared_covariance(self._config, place_m, *moving)
+        without = {
+            name: predict(other, estimate.stamp_ns, self._filter)
+            for name, other in memory.without.items()
+            if other.stamp_ns <= estimate.stamp_ns
+        }
+        followed = memory.frames.ranges_followed(estimate, without, place_m)
+        unseen = declared_covariance(self._config, place_m, *moving, followed=followed)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
             return protection_levels(chosen, unseen, self._config.risk)
@@ -246,19 +252,15 @@ class Monitor:
         parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
         less = ""
         for part in parts:
-            if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):
+            if vague := _above(levels_of([part.agreeing]), *limit):
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
-                solutions.append(part)
+                solutions.append(part.solution)
         if between and (over := _above(levels_of([*solutions, *between]), *limit)):
             less = f"{SIZE_DECLARED}: {over}"
         else:
             solutions += between
-        of_sensors = [
-            solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
-            for name, other in memory.without.items()
-            if other.stamp_ns <= estimate.stamp_ns
-        ]
+        of_sensors = [solution(f"without {name}", estimate, other, share) for name, other in without.items()]
         levels = levels_of([*solutions, *of_sensors])
         if of_sensors and (over := _above(levels, *limit)):
             return levels_of(solutions), f"{DECLARED_ONLY}: {over}"
