@@ -302,6 +302,8 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
     [
         ("hull.stl", b"", r"is empty \(0 bytes\): copy or export it again"),
         ("hull.stl", b"hello\n", "is no STL, neither binary nor text: export it again"),
+        ("hull.obj", b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "with git lfs pull"),
+        ("hull.glb", b"\n<!DOCTYPE html><html>Sign in</html>", "is a web page.*: download the file itself"),
         ("hull.stl", b"ISO-10303-21; a STEP file", "content is STEP: give it the suffix .step"),
         ("hull.stl", STL[:-60], "ends after 2 of 4 triangles: copy or export it again"),
         ("hull.stl", STL[:80] + bytes(4) + STL[84:], "announces 0 triangles, but 4 follow"),
@@ -329,6 +331,16 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
 def test_what_is_no_usable_file_is_refused_with_a_reason(name: str, content: bytes, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         read_mesh_file(name, content, {})
+
+
+TRIANGLE = (
+    b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+)
+
+
+def test_a_text_in_capitals_is_read_as_stl() -> None:
+    (triangle,) = read_mesh_file("hull.stl", (TRIANGLE + b"endsolid a\n").upper(), {}).triangles
+    assert np.ptp(triangle, axis=0).tolist() == [1.0, 1.0, 0.0]
 
 
 def test_a_text_with_a_zero_byte_at_its_end_is_read_as_the_text_that_it_is() -> None:
