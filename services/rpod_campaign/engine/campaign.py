@@ -62,7 +62,8 @@ class Campaign(Generic[CellT]):
         if not isinstance(options, self.options):
             raise ConfigurationError(self.name, "", f"needs {self.options.__module__}.Options")
         if self.most_trials and options.trials > self.most_trials:
-            raise ConfigurationError("--trials", "", f"{self.name} has {self.most_trials} at most")
+            reason = f"is {options.trials}; {self.name} has {self.most_trials} at most"
+            raise ConfigurationError("--trials", "", reason)
 
 
 AnyCampaign = Campaign[Any]
