@@ -17,7 +17,7 @@ from rpod_schemas.types import Float32Array, Odometry, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
 _LEAST_FRAMES, _LEAST_POINTS = 12, 60
-"""The scatter of the frames is the fit's covariance: fewer than eight do not tell eight values."""
+"""The scatter of the frames is the fit's covariance: fewer than eight do not determine eight values."""
 _AROUND_M = 0.4
 """Distance from the target's sphere within which a point may be its own, m: the fit's first gate."""
 _EDGE_M = 0.05
@@ -31,7 +31,7 @@ class Sighting:
     points_m: FloatArray
     """Sensor axes, shape (N, 3)."""
     times_s: FloatArray
-    """Times of the points from the stamp, shape (N,); 0 where the sensor tells none."""
+    """Times of the points from the stamp, shape (N,); 0 where the sensor states none."""
     poses: tuple[RigidTransform, RigidTransform, RigidTransform]
     """T_chaser_target 10 ms before the stamp, at it, and 10 ms after it."""
 
