@@ -23,7 +23,7 @@ def main(
     runs: Annotated[int, typer.Option(min=1)] = 3,
     duration: Annotated[float, typer.Option(min=1.0, help="Of each, s.")] = 20.0,
 ) -> None:
-    """Tell of each run how many messages its log missed, and how many frames the estimator passed over."""
+    """Print how many messages the log of each run missed, and how many frames the estimator passed over."""
     missed = 0
     for number in range(1, runs + 1):
         with TemporaryDirectory() as folder, _busy_processes(busy):

@@ -96,30 +96,31 @@ def _checked_pose(value: Any) -> RigidTransform:
         raise ValueError("needs translation_m and quaternion_xyzw, or euler_321_deg (yaw, pitch, roll)")
     if "quaternion_xyzw" in value and "euler_321_deg" in value:
         raise ValueError("has both quaternion_xyzw and euler_321_deg; give one")
-    translation = _numbers(value.get("translation_m", (0.0, 0.0, 0.0)))
-    if translation.shape != (3,):
-        raise ValueError("translation_m needs three finite numbers")
+    translation = _numbers(value.get("translation_m", (0.0, 0.0, 0.0)), 3, "translation_m")
     return RigidTransform.from_components(translation, _checked_rotation(value))
 
 
-def _numbers(value: Any) -> FloatArray:
-    """Return an array of finite numbers; an empty one if the value is not such an array."""
+def _numbers(value: Any, count: int, name: str, meaning: str = "") -> FloatArray:
+    """Return an array of so many finite numbers. Raises ``ValueError``, which names the field."""
     try:
         array = np.asarray(value, float)
     except (TypeError, ValueError, OverflowError):
-        return np.empty(0)
-    return array if np.isfinite(array).all() else np.empty(0)
+        array = np.empty(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{name} is {str(value)[:60]}; it needs {count} finite numbers{meaning}")
+    return array
 
 
 def _checked_rotation(value: dict[str, Any]) -> Rotation:
     if "euler_321_deg" in value:
-        angles = _numbers(value["euler_321_deg"])
-        if angles.shape != (3,):
-            raise ValueError("euler_321_deg needs three finite numbers: yaw, pitch, roll")
+        angles = _numbers(value["euler_321_deg"], 3, "euler_321_deg", ": yaw, pitch, roll")
         return Rotation.from_euler("ZYX", angles, degrees=True)
-    quaternion = _numbers(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)))
-    if quaternion.shape != (4,) or not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
-        raise ValueError("quaternion_xyzw needs four numbers of unit norm")
+    quaternion = _numbers(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)), 4, "quaternion_xyzw")
+    norm = float(np.linalg.norm(quaternion))
+    if not abs(norm - 1.0) < 1e-3:
+        raise ValueError(
+            f"quaternion_xyzw has the norm {norm:g}; it needs 1: x, y, z, w of a unit quaternion"
+        )
     return Rotation.from_quat(quaternion)
 
 

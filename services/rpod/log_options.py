@@ -14,7 +14,7 @@ def check_part(start_s: float, end_s: float | None) -> None:
         if time_s is not None and not 0.0 <= time_s < inf:
             raise ConfigurationError(name, "", f"is {time_s:g}; give seconds from the log's beginning")
     if end_s is not None and end_s <= start_s:
-        raise ConfigurationError("--to", "", "is not after --from; give a later time")
+        raise ConfigurationError("--to", "", f"is {end_s:g}, not after --from {start_s:g}; give a later time")
 
 
 def _lift(context: typer.Context, value: bool) -> None:

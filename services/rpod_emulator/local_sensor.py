@@ -33,8 +33,7 @@ class LocalSensor:
         node = local_node(lambda received: self._kept.update({received.topic.name: received}))
         self._channel: Channel = resolve(self._kind.emulator)(node, config, sensor, target)
         self._reader: SensorReader = open_reader(self._kind)
-        if self._kind.info is not None:
-            self._reader.learn(self._kept[self._kind.info.of(sensor.name).name].decode())
+        self._learn_info()
 
     @property
     def info(self) -> Any:
@@ -53,9 +52,16 @@ class LocalSensor:
         """
         self._kept.clear()
         self._channel.emulate(poses, sun_W_m2, due)()
+        self._learn_info()
         topics = {name: part.topic.of(self._sensor.name).name for name, part in self._kind.parts.items()}
         received = {name: self._kept[topic] for name, topic in topics.items() if topic in self._kept}
         try:
             return self._reader.read(Assembled(due.stamp_ns, received))
         except MessageRejectedError:
             return None
+
+    def _learn_info(self) -> None:
+        """Pass on the info that was published at the start or with the last frame, if there is one."""
+        info = None if self._kind.info is None else self._kept.get(self._kind.info.of(self._sensor.name).name)
+        if info is not None:
+            self._reader.learn(info.decode())

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import prod
 from random import Random
 
 CHUNK_BYTES = 16_384
@@ -52,12 +53,9 @@ def condition_of(faults: Iterable[tuple[str, float | None]]) -> Condition:
     sizes: dict[str, list[float]] = {}
     for name, size in faults:
         sizes.setdefault(name, []).append(size or 0.0)
-    kept = 1.0
-    for share in sizes.get("link_loss", []):
-        kept *= 1.0 - share
     return Condition(
         delay_s=sum(sizes.get("link_delay", [])),
-        loss=1.0 - kept,
+        loss=1.0 - prod(1.0 - share for share in sizes.get("link_loss", [])),
         rate_B_s=min((MBIT * rate for rate in sizes.get("link_rate", [])), default=None),
         stalled="link_stall" in sizes,
         dead="link_half_open" in sizes,

@@ -67,7 +67,7 @@ def _control(
         while not stop.wait(_POLL_S):
             manager.alive()
             now_ns = time.time_ns()
-            book.publish(plan.begun(now_ns))
+            book.publish(plan.active(now_ns))
             for name, relay in relays.items():
                 condition = plan.condition(name, now_ns)
                 if condition != before[name]:
@@ -75,7 +75,7 @@ def _control(
                     loop.call_soon_threadsafe(relay.set, condition)
                 node.health.put(f"passed_bytes/{name}", relay.passed_bytes)
                 node.health.put(f"connections/{name}", relay.connections)
-            faults = [f"{fault.fault} of {fault.where}" for fault in plan.begun(now_ns)]
+            faults = [f"{fault.fault} of {fault.where}" for fault in plan.active(now_ns)]
             node.health.report(
                 Health.WARN if faults else Health.OK,
                 f"injecting {', '.join(faults)}" if faults else "passing on",

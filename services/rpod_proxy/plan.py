@@ -42,7 +42,7 @@ class Plan:
                 )
             )
 
-    def begun(self, now_ns: int) -> list[InjectedFault]:
+    def active(self, now_ns: int) -> list[InjectedFault]:
         """Return the faults that are active now, in the order of their beginning."""
         with self._lock:
             faults = [each for each in self._faults if each.begin_ns <= now_ns < (each.end_ns or 0)]
@@ -50,5 +50,5 @@ class Plan:
 
     def condition(self, link: str, now_ns: int) -> Condition:
         """Return the condition of a link."""
-        mine = (fault for fault in self.begun(now_ns) if fault.where == link)
+        mine = (fault for fault in self.active(now_ns) if fault.where == link)
         return condition_of((fault.fault, fault.size) for fault in mine)

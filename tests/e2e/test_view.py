@@ -59,7 +59,7 @@ def test_a_log_is_written_as_a_recording(log, tmp_path):
     ("arguments", "code", "reason"),
     [
         (["nowhere.mcap"], 1, "nowhere.mcap"),
-        (["--from", 2, "--to", 1], 2, "--to: is not after --from"),
+        (["--from", 2, "--to", 1], 2, "--to: is 1, not after --from 2"),
         (["--bind", "everywhere"], 2, "bind"),
         (["--save", "nowhere/run.rrd"], 1, "cannot write nowhere/run.rrd"),
         (["--target", "moon", "--save", "never.rrd"], 2, "moon"),

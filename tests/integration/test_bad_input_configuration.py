@@ -59,7 +59,7 @@ def written(directory: Path, document: object) -> Path:
             "emulator",
             {"sensors": [{"kind": "pmd", "T_chaser_sensor": {"translation_m": {"x": 1}}}]},
             "sensors.0.T_chaser_sensor",
-            "three finite numbers",
+            "it needs 3 finite numbers",
         ),
         ("estimator", {"sensors": []}, "sensors", "needs 1 at least"),
         ("estimator", {"filter": {"gate": 3}}, "filter.gate", "not a known field"),

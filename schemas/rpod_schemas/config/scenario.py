@@ -84,6 +84,14 @@ class Scenario(Config):
         """Name or file of the target that the estimator looks for."""
         return self.estimator.target or self.target
 
+    @property
+    def settings(self) -> EstimatorSettings:
+        """The estimator's settings with what the emulated sensors will state, so that it warms up before."""
+        emulated = {sensor.name: sensor for sensor in self.sensors}
+        heard = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in self.estimator.sensors)
+        shared = {name: getattr(self.estimator, name) for name in EstimatorSettings.model_fields}
+        return EstimatorSettings(**(shared | {"sensors": heard}))
+
     @field_validator("estimator")
     @classmethod
     def _uses_all_if_it_names_none(

@@ -136,7 +136,9 @@ def _executor(jobs: int | None, cluster: str | None) -> Callable[[Callable[[str]
     if cluster is None:
         return lambda _: ProcessPool(jobs or cores())
     if jobs is not None:
-        raise ConfigurationError("--jobs", "", "has no meaning with --cluster, which has workers of its own")
+        raise ConfigurationError(
+            "--jobs", "", "has no meaning with --cluster, which has workers of its own; leave it out"
+        )
     from rpod_campaign.engine.executor.cluster import Cluster, check_address  # noqa: PLC0415 - an extra
 
     check_address(cluster)

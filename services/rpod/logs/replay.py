@@ -119,7 +119,8 @@ def _service(options: BusOptions) -> ServiceConfig:
 
 def _check_playback(playback: Playback) -> None:
     if not 0.0 < playback.speed < inf:
-        raise ConfigurationError("--speed", "", "is not a number above 0; give 1 for the recorded speed")
+        reason = f"is {playback.speed:g}; give a number above 0, 1 for the recorded speed"
+        raise ConfigurationError("--speed", "", reason)
     check_part(playback.start_s, playback.end_s)
 
 

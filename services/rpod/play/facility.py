@@ -3,11 +3,11 @@
 import secrets
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from rpod_runtime.bus.session import free_endpoint
 from rpod_schemas.config.emulator import EmulatorConfig, LockstepConfig, MotionServiceConfig
-from rpod_schemas.config.estimator import EstimatorConfig, EstimatorSettings
+from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.facility.proxy import ProxiedLink, ProxyConfig
 from rpod_schemas.config.facility.view import ViewConfig
@@ -51,7 +51,7 @@ def configure(scenario: Scenario, *, directory: Path, speed: Speed) -> Facility:
                 zenoh_id=estimator_id,
                 target=scenario.model,
                 time_source=time_source,
-                **_settings(scenario),
+                **dict(scenario.settings),
             ),
             "logger": LoggerConfig(
                 bus=bus, directory=directory, name=scenario.name, record_extra=_reduced_rate(scenario, bus)
@@ -130,11 +130,3 @@ def _reduced_rate(scenario: Scenario, bus: BusConfig) -> tuple[str, ...]:
     """Return the keys of the sensors' streams of reduced rate, which are recorded too."""
     configs = {sensor.name: getattr(sensor, "reduced_rate", None) for sensor in scenario.sensors}
     return tuple(f"{bus.keys.root}/{each.prefix}/{name}/**" for name, each in configs.items() if each)
-
-
-def _settings(scenario: Scenario) -> dict[str, Any]:
-    """Return the estimator's settings with the sensors' infos, so that it warms up before they are sent."""
-    emulated = {sensor.name: sensor for sensor in scenario.sensors}
-    sensors = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
-    shared = {name: getattr(scenario.estimator, name) for name in EstimatorSettings.model_fields}
-    return shared | {"sensors": sensors}

@@ -1,4 +1,4 @@
-"""One service that is kept alive: its process, what it tells of itself, and when it is started again."""
+"""One service that is kept alive: its process, what it reports, and when it is started again."""
 
 import logging
 import signal

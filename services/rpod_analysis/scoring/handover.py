@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rpod_analysis.scoring.run import Run
+from rpod_analysis.scoring.score import NEES_95
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.summary import Handover
@@ -21,9 +22,6 @@ from rpod_schemas.summary import Handover
 PAUSE_S = 3.0
 """Time without an accepted frame after which a sensor is handed over to again, s."""
 _PAUSE_NS = round(PAUSE_S * NANOSECONDS)
-
-WITHIN_95 = 7.815
-"""95 % quantile of chi squared with three degrees of freedom."""
 
 
 class Offset(NamedTuple):
@@ -44,11 +42,29 @@ class Offset(NamedTuple):
         ).as_rotvec()
 
 
+class AcceptedFrames:
+    """Stamps of the last accepted frame of each sensor; frames are added in the order of their results."""
+
+    def __init__(self) -> None:
+        self._accepted_ns: dict[str, int] = {}
+
+    def take(self, sensor: str, stamp_ns: int) -> int | None:
+        """Add an accepted frame; return the stamp of the frame of another sensor that hands over to it.
+
+        None if the frame is no handover.
+        """
+        own_ns = self._accepted_ns.get(sensor)
+        others_ns = max((ns for name, ns in self._accepted_ns.items() if name != sensor), default=None)
+        self._accepted_ns[sensor] = stamp_ns if own_ns is None else max(stamp_ns, own_ns)
+        lasts = own_ns is not None and stamp_ns - own_ns <= _PAUSE_NS
+        return None if others_ns is None or lasts or abs(stamp_ns - others_ns) > _PAUSE_NS else others_ns
+
+
 class Handovers:
     """Finds the handovers of a run, minute by minute."""
 
     def __init__(self) -> None:
-        self._accepted_ns: dict[str, int] = {}
+        self._accepted = AcceptedFrames()
         self._before: list[Offset] = []
         self._gap_s: list[float] = []
         self._change_m: list[float] = []
@@ -67,10 +83,8 @@ class Handovers:
         self._before = [each for each in offsets if newest_ns - each.stamp_ns <= 2 * _PAUSE_NS]
 
     def _use(self, sensor: str, stamp_ns: int, offsets: list[Offset]) -> None:
-        own_ns = self._accepted_ns.get(sensor, stamp_ns - 2 * _PAUSE_NS)
-        others_ns = max((ns for name, ns in self._accepted_ns.items() if name != sensor), default=None)
-        self._accepted_ns[sensor] = max(stamp_ns, own_ns)
-        if others_ns is None or stamp_ns - own_ns <= _PAUSE_NS or abs(stamp_ns - others_ns) > _PAUSE_NS:
+        others_ns = self._accepted.take(sensor, stamp_ns)
+        if others_ns is None:
             return
         self._gap_s.append(max(stamp_ns - others_ns, 0) / NANOSECONDS)
         first_ns = min(stamp_ns, others_ns)
@@ -111,7 +125,7 @@ def beyond(change: FloatArray, covariance: FloatArray) -> float:
     variances, axes = np.linalg.eigh(covariance)
     with np.errstate(divide="ignore", invalid="ignore"):  # a direction without variance allows no change
         squared = float(np.nansum((axes.T @ change) ** 2 / variances.clip(0.0)))
-    return length * max(0.0, 1.0 - float(np.sqrt(WITHIN_95 / squared))) if squared > 0.0 else 0.0
+    return length * max(0.0, 1.0 - float(np.sqrt(NEES_95[3] / squared))) if squared > 0.0 else 0.0
 
 
 def _offsets(run: Run) -> list[Offset]:

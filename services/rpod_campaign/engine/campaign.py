@@ -43,7 +43,9 @@ class Campaign(Generic[CellT]):
     schema: Mapping[str, Any]
     """Columns of a row and their polars types."""
     summarise: Callable[[CellT, pl.DataFrame], Row]
+    """Function from a cell and its rows to the cell's object in the output of ``--json``."""
     sections: Callable[[Sequence[CellResult[CellT]]], Sequence[Section]]
+    """Function from the results of all cells to the sections of the report."""
     totals: Callable[[Sequence[CellResult[CellT]]], Row] | None = None
     """Function that returns the object ``totals`` in the output of ``--json``; None for a campaign whose
     cells have nothing in common."""
@@ -62,7 +64,8 @@ class Campaign(Generic[CellT]):
         if not isinstance(options, self.options):
             raise ConfigurationError(self.name, "", f"needs {self.options.__module__}.Options")
         if self.most_trials and options.trials > self.most_trials:
-            raise ConfigurationError("--trials", "", f"{self.name} has {self.most_trials} at most")
+            reason = f"is {options.trials}; {self.name} has {self.most_trials} at most"
+            raise ConfigurationError("--trials", "", reason)
 
 
 AnyCampaign = Campaign[Any]

@@ -1,1 +1,1 @@
-"""Integrity: faults of sensors and models, and whether the estimator tells them in time."""
+"""Integrity: faults of sensors and models, and whether the estimator reports them in time."""

@@ -31,10 +31,16 @@ def cells(options: Options) -> list[NavigationCell]:
         for scenario in (_found(options, name) for name in options.scenario)
         for target in targets(options.target or (scenario.target,))
         for world in options.world
-        for rate_hz in options.rate or (None,)
+        for rate_hz in _rates(options, scenario)
         for off_mm in options.off_mm
         for declared in (options.declared if off_mm else (1.0,))
     ]
+
+
+def _rates(options: Options, scenario: Scenario) -> tuple[float | None, ...]:
+    """Return the rates of the scenario's cameras, Hz; None for its own, and where there is no camera."""
+    has_camera = any(sensor.kind == "pmd" for sensor in scenario.sensors)
+    return (options.rate if has_camera else ()) or (None,)
 
 
 def _found(options: Options, name: str) -> Scenario:
@@ -44,12 +50,13 @@ def _found(options: Options, name: str) -> Scenario:
         known = ", ".join(options.scenarios)
         raise ConfigurationError("--scenario", "", f"needs the path of a YAML file, or {known}, not {name!r}")
     for has, what in (
-        (scenario.faults, "faults; the campaign 'faults' plays them"),
+        (scenario.faults, "faults (the campaign 'faults' plays such)"),
         (scenario.motion.joints, "joints that move"),
         (scenario.estimator.dynamics.imu, "an IMU of the chaser"),
     ):
         if has:
-            raise ConfigurationError("--scenario", "", f"{name} has {what}; this campaign does not play that")
+            reason = f"{name} has {what}, which this campaign does not play: give a copy of the file without"
+            raise ConfigurationError("--scenario", "", reason)
     return scenario
 
 

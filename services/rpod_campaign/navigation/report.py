@@ -8,13 +8,14 @@ import numpy as np
 import polars as pl
 from scipy.stats import bootstrap
 
-from rpod_analysis.scoring.handover import PAUSE_S
+from rpod_analysis.scoring.handover import AcceptedFrames
 from rpod_analysis.scoring.score import NEES_95
 from rpod_campaign.engine.campaign import TRIAL, CellResult
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, millimetres, number, percent
 from rpod_campaign.engine.report.statistics import root_mean_square
 from rpod_campaign.navigation.trial import FRAME, NavigationCell
+from rpod_schemas.messages import NANOSECONDS
 
 Results = Sequence[CellResult[NavigationCell]]
 SETTLED_SHARE = 0.25
@@ -84,19 +85,15 @@ def _as_json(mean: Mean | None) -> dict[str, float] | None:
 
 
 def _handovers(trial: pl.DataFrame) -> Iterator[dict[str, float]]:
-    """Yield gap, changes and jumps of the handovers of a trial, as the report of a log defines them."""
-    last: dict[str, int] = {}
-    times_s, sensors = trial["time_s"].to_list(), trial["sensor"].to_list()
-    for row in np.flatnonzero(trial["accepted"].to_numpy()).tolist():
-        sensor, time_s = sensors[row], times_s[row]
-        own, other = last.get(sensor), max((at for name, at in last.items() if name != sensor), default=None)
-        last[sensor] = row
-        if other is None or time_s - times_s[other] > PAUSE_S:
-            continue
-        if own is None or time_s - times_s[own] > PAUSE_S:
-            around = trial[other : row + 1]
-            largest = {name: float(np.nanmax(around[name].to_numpy())) for name in _CHANGES}
-            yield {"gap_s": time_s - times_s[other], **largest}
+    """Yield gap, s, largest changes and jumps of the handovers of a trial, as the report of a log does."""
+    accepted = AcceptedFrames()
+    stamped = trial.with_columns(stamp_ns=(pl.col("time_s") * NANOSECONDS).round().cast(pl.Int64))
+    for sensor, stamp_ns in stamped.filter("accepted").select("sensor", "stamp_ns").rows():
+        others_ns = accepted.take(sensor, stamp_ns)
+        if others_ns is not None:
+            around = stamped.filter(pl.col("stamp_ns").is_between(others_ns, stamp_ns))
+            (largest,) = around.select(pl.col(_CHANGES).fill_nan(None).max()).to_dicts()
+            yield {"gap_s": (stamp_ns - others_ns) / NANOSECONDS, **largest}
 
 
 def sections(results: Results) -> list[Section]:

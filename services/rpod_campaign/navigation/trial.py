@@ -218,15 +218,13 @@ def _motion_of(document: str) -> Motion:
 def _estimator(cell: NavigationCell) -> tuple[EstimatorSettings, dict[str, Methods], Target]:
     """Return settings, methods and model of the scenario's estimator, as a facility gives them."""
     scenario = scenario_of(cell.document)
-    model = cached_target(scenario.estimator.target or scenario.target)
+    model = cached_target(scenario.model)
     if cell.off_mm:
         model = replace(model, tolerance_m=1e-3 * cell.declared * cell.off_mm)
     emulated = {sensor.name: sensor for sensor in scenario.sensors}
-    heard = tuple(sensor.informed_by(emulated[sensor.name]) for sensor in scenario.estimator.sensors)
-    shared = {name: getattr(scenario.estimator, name) for name in EstimatorSettings.model_fields}
-    settings = EstimatorSettings(**(shared | {"sensors": heard, "initial_pose": None}))
+    settings = scenario.settings
     methods = {}
-    for sensor in heard:
+    for sensor in settings.sensors:
         config = EmulatorConfig(target=scenario.target, sensors=(emulated[sensor.name],))
         info = LocalSensor(config, emulated[sensor.name], cached_target(scenario.target)).info
         methods[sensor.name] = ready_methods(sensor, model, kind_methods(sensor).setup(sensor, info))

@@ -133,7 +133,7 @@ def methods(
         ConfigurationError: a method is unknown, or this version lacks it.
     """
     if chosen_px and not any(has_radius(method) for method in names):
-        raise ConfigurationError("--radius", "", f"has no meaning for {', '.join(names)}")
+        raise ConfigurationError("--radius", "", f"has no meaning for {', '.join(names)}; leave it out")
     for method in names:
         for radius_px in (chosen_px or radii_px) if has_radius(method) else (None,):
             pmd_input(method, radius_px=radius_px)

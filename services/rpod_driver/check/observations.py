@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -200,7 +201,7 @@ class Observer:
         """Topics of others, for comparison."""
         self._assembler = assembler_of(self._kind, options.source)
         self._reader = open_reader(self._kind, options.source)
-        self._numbers = iter(range(10**9))
+        self._numbers = count()
         self._pair: tuple[int, int] = (-10, -(10**18))
         self._truth_ns = 0
 

@@ -18,7 +18,7 @@ class Level(StrEnum):
     FAIL = "fail"
     """Wrong."""
     UNCHECKED = "not checked"
-    """The frames do not show it; the text says why, and what would show it."""
+    """The frames do not show it; the text states why, and what would show it."""
 
 
 class CheckResult(Config):

@@ -12,12 +12,12 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.lens import undistort
 from rpod_runtime.errors import ExtrinsicsError
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.poses import chained, make_pose
+from rpod_schemas.poses import between, chained, make_pose
 from rpod_schemas.types import Float32Array, Odometry, SensorFrame
 
 _FRAMES, _POINTS = 40, 400
 _LEAST_FRAMES, _LEAST_POINTS = 12, 60
-"""The scatter of the frames is the fit's covariance: fewer than eight do not tell eight values."""
+"""The scatter of the frames is the fit's covariance: fewer than eight do not determine eight values."""
 _AROUND_M = 0.4
 """Distance from the target's sphere within which a point may be its own, m: the fit's first gate."""
 _EDGE_M = 0.05
@@ -31,7 +31,7 @@ class Sighting:
     points_m: FloatArray
     """Sensor axes, shape (N, 3)."""
     times_s: FloatArray
-    """Times of the points from the stamp, shape (N,); 0 where the sensor tells none."""
+    """Times of the points from the stamp, shape (N,); 0 where the sensor states none."""
     poses: tuple[RigidTransform, RigidTransform, RigidTransform]
     """T_chaser_target 10 ms before the stamp, at it, and 10 ms after it."""
 
@@ -71,15 +71,15 @@ def sightings_of(
     return "", found, mount
 
 
-def _at(poses: list[Odometry], times_ns: FloatArray, stamp_ns: int, gap_s: float) -> RigidTransform | None:
+def _at(
+    poses: list[Odometry], times_ns: NDArray[np.int64], stamp_ns: int, gap_s: float
+) -> RigidTransform | None:
     """Return T_chaser_target at a time, interpolated between two poses; None in a gap or beyond the ends."""
     after = int(np.searchsorted(times_ns, stamp_ns))
     if not 0 < after < len(times_ns) or times_ns[after] - times_ns[after - 1] > 1e9 * gap_s:
         return None
-    first, second = poses[after - 1].pose, poses[after].pose
     share = float(stamp_ns - times_ns[after - 1]) / float(times_ns[after] - times_ns[after - 1])
-    step = chained(first.inv(), second)
-    return chained(first, RigidTransform.from_exp_coords(share * step.as_exp_coords()))
+    return between(poses[after - 1].pose, poses[after].pose, share)
 
 
 def points_of(frame: SensorFrame) -> FloatArray:

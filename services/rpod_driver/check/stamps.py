@@ -8,6 +8,7 @@ import numpy as np
 from rpod_driver.check.delivery import few
 from rpod_driver.check.observations import Observations
 from rpod_driver.check.result import CheckResult, fail, note, ok, unchecked
+from rpod_runtime.sensor_data.drift_watch import trend
 from rpod_runtime.sensor_data.end_watch import EndWatch, last_of
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
 from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
@@ -27,9 +28,6 @@ _DRIFT_SIGMAS = 5.0
 _DRIFT_S, _STRETCHES, _LEAST_STRETCHES = 8.0, 8, 6
 """Least time for a drift, s; number of stretches whose least ages are compared, and least number of them.
 Long stretches contain the shortest delay even on a loaded machine."""
-_EVEN = 0.5
-"""Least ratio of the two changes of the ages, from the first to the second third of the time and from there
-to the last, for a drift: a load that comes and goes changes them unevenly."""
 _MOST_PARTS = 4
 _TAI_WITHIN_S = 1.0
 
@@ -171,21 +169,17 @@ def drift(seen: Observations) -> CheckResult:
     least = np.array(
         [np.flatnonzero(bins == each)[ages_s[bins == each].argmin()] for each in np.unique(bins)]
     )
-    x_s, y_s = arrivals_s[least], ages_s[least]
     if arrivals_s[-1] < _DRIFT_S or len(least) < _LEAST_STRETCHES:
         told = f"the frames span {arrivals_s[-1]:.1f} s, at least {_DRIFT_S:g} s are needed"
         return unchecked(line, f"{told}; watch for longer: --duration {_DRIFT_S + 2.0:g}")
-    slope, first = np.polyfit(x_s, y_s, 1)
-    scatter_s = float(np.std(y_s - slope * x_s - first, ddof=2))
-    sigma_ppm = 1e6 * scatter_s / (float(np.std(x_s)) * np.sqrt(len(least)))
-    drift_ppm = -1e6 * float(slope)
+    found = trend(arrivals_s[least], ages_s[least])
+    sigma_ppm, drift_ppm = 1e6 * found.sigma, -1e6 * found.slope
     limit_ppm = _DRIFT_PPM + _DRIFT_SIGMAS * sigma_ppm
     text = f"{drift_ppm:+.0f} ppm, standard deviation {sigma_ppm:.0f} ppm, limit {limit_ppm:.0f} ppm"
     figures = {"drift_ppm": drift_ppm, "sigma_ppm": sigma_ppm}
     if abs(drift_ppm) > _NO_CLOCK_PPM:
         return unchecked(line, f"{text}: no clock is that wrong; the frames' delay changes", **figures)
-    steps_s = np.sign(slope) * np.diff([part.min() for part in np.array_split(y_s, 3)])
-    if abs(drift_ppm) > limit_ppm and steps_s.min() >= _EVEN * steps_s.max():
+    if abs(drift_ppm) > limit_ppm and found.is_even:
         return fail(line, text, "clock_drift", **figures)
     if limit_ppm > 4.0 * _DRIFT_PPM or abs(drift_ppm) > limit_ppm:
         why = "arrivals are too irregular, or a load moves them in steps"

@@ -1,4 +1,4 @@
-"""The number of a start, by which one start of a client is told from the next.
+"""The number of a start, by which one start of a client is distinguished from the next.
 
 Receivers know a publisher by its session's identity and by the publisher's number within it. A client that
 takes an identity a second time is not heard until it has published as many messages as it had before: Zenoh's

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
 
 _STRETCH_NS = 5 * NANOSECONDS
@@ -49,6 +50,25 @@ class Drift(NamedTuple):
         )
 
 
+class Trend(NamedTuple):
+    """Change of the ages of frames on arrival over time: a straight line through them."""
+
+    slope: float
+    """Change of the age, s/s: positive for a clock that runs too slow."""
+    sigma: float
+    """Standard deviation of the slope, by the scatter of the ages."""
+    is_even: bool
+    """Whether both halves of the time show it alike, as they do for a drift, and not for a load."""
+
+
+def trend(time_s: FloatArray, age_s: FloatArray) -> Trend:
+    """Return the change of ages, shape (N,), at times in order, shape (N,); N is 4 or more."""
+    (slope, _), covariance = np.polyfit(time_s, age_s, 1, cov=True)
+    steps_s = np.sign(slope) * np.diff([part.min() for part in np.array_split(age_s, 3)])
+    is_even = bool(steps_s.min() >= _EVEN * steps_s.max())
+    return Trend(float(slope), float(np.sqrt(covariance[0, 0])), is_even)
+
+
 class DriftWatch:
     """Follows the stamps of one sensor against this machine's clock."""
 
@@ -74,16 +94,9 @@ class DriftWatch:
         if len(self._least_s) <= _LEAST:
             return None
         whole = np.array(self._least_s)[:-1]  # the last stretch has just begun
-        time_s, age_s = whole[:, 0] * (_STRETCH_NS / NANOSECONDS), whole[:, 1]
-        time_s -= time_s[0]
-        slope, first = np.polyfit(time_s, age_s, 1)
-        scatter_s = float(np.std(age_s - slope * time_s - first, ddof=2))
-        sigma = scatter_s / (float(np.std(time_s)) * np.sqrt(len(time_s)))
-        moved_s = abs(float(slope)) * float(time_s[-1])
-        if moved_s <= CLOCK_SIGMAS * clock_sigma_s or abs(slope) <= _NOISE_SIGMAS * sigma:
+        time_s, age_s = (whole[:, 0] - whole[0, 0]) * (_STRETCH_NS / NANOSECONDS), whole[:, 1]
+        found = trend(time_s, age_s)
+        moved_s = abs(found.slope) * float(time_s[-1])
+        if moved_s <= CLOCK_SIGMAS * clock_sigma_s or abs(found.slope) <= _NOISE_SIGMAS * found.sigma:
             return None
-        thirds = [age_s[part].min() for part in np.array_split(np.arange(len(age_s)), 3)]
-        steps = np.sign(slope) * np.diff(thirds)
-        if steps.min() < _EVEN * steps.max():
-            return None
-        return Drift(-1e6 * float(slope), moved_s, float(time_s[-1]))
+        return Drift(-1e6 * found.slope, moved_s, float(time_s[-1])) if found.is_even else None

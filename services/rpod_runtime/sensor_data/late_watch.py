@@ -28,7 +28,7 @@ _DRIVER = "look at the driver and at the load of its host"
 class _Frame(NamedTuple):
     stamp_ns: int
     sent_ns: int
-    """Time of sending by the clock of the publisher's host; 0 where it is not told."""
+    """Time of sending by the clock of the publisher's host; 0 where it is not stated."""
     arrival_ns: int
     arrival_s: float
     """Time of arrival by the monotonic clock."""

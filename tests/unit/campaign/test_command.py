@@ -25,7 +25,7 @@ from rpod_campaign.catalogue import BUILT_IN, RENAMED, find, names, options_of
         ("lidar-acquisition", {"method": "magic"}, "--method: needs template-matching"),
         ("lidar-acquisition", {"target": "hubble"}, "--target: "),
         ("lidar-trajectory", {"ranges": "20"}, "--ranges: has no meaning for lidar-trajectory"),
-        ("lidar-trajectory", {"trials": "242"}, "--trials: lidar-trajectory has 241 at most"),
+        ("lidar-trajectory", {"trials": "242"}, "--trials: is 242; lidar-trajectory has 241 at most"),
     ],
 )
 def test_a_wrong_value_is_one_line_that_names_the_option(name, options, says, tmp_path, capsys):

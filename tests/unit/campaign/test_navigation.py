@@ -88,6 +88,13 @@ def test_a_trial_with_parts_that_are_off_has_a_model_that_says_so():
     assert off[-1]["nees"] < 40.0
 
 
+def test_a_rate_of_cameras_makes_no_more_cells_of_a_scenario_without_one():
+    given = {"rate": (5.0, 15.0), "scenario": ("envisat-station", "mockup-oblique")}
+    both = {name: find(name) for name in given["scenario"]}
+    found = [(cell.scenario, cell.rate_hz) for cell in cells(options(**given, scenarios=both))]
+    assert found == [("envisat-station", None), ("mockup-oblique", 5.0), ("mockup-oblique", 15.0)]
+
+
 @pytest.mark.parametrize(
     ("given", "named"),
     [

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from kept_messages import KeptMessages
 
+from rpod_emulator.local_sensor import LocalSensor
 from rpod_emulator.pmd import PmdChannel
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.motion import FACING
@@ -35,6 +36,17 @@ def test_an_exposure_that_changes_is_announced_before_its_frame(range_m):
         assert times_s[0] == config.integration_time_s > times_s[1] > 0.0
         names = kept.names
         assert names.index("pmd/depth/image_raw") > len(names) - names[::-1].index("pmd/info") - 1
+
+
+def test_a_frame_without_a_bus_has_the_info_of_its_own_exposure():
+    config = PmdConfig(exposure="automatic")
+    local = LocalSensor(EmulatorConfig(target="mockup", sensors=(config,)), config, load_target("mockup"))
+    times_s = []
+    for range_m in (4.0, 1.0):
+        pose = make_pose(rotation=FACING, translation_m=(0.0, 0.0, range_m))
+        frame = local.frame([pose] * config.sub_exposures, np.zeros(3), FRAME)
+        times_s.append(frame.info.integration_time_s)
+    assert times_s[0] == config.integration_time_s > times_s[1] > 0.0
 
 
 def test_raw_samples_are_one_message_a_frequency():

@@ -183,4 +183,4 @@ def test_faults_without_end_are_refused_until_some_are_over():
     with pytest.raises(RefusedError, match="500 faults are planned or active already"):
         plan.request(asked, SECOND_NS)
     plan.request(asked, 3 * SECOND_NS)
-    assert len(plan.begun(3 * SECOND_NS)) == 1
+    assert len(plan.active(3 * SECOND_NS)) == 1

@@ -56,12 +56,12 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
             "T_chaser_sensor",
-            "three finite numbers",
+            "it needs 3 finite numbers",
         ),
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"quaternion_xyzw": [1, 1, 1, 1]}},
             "T_chaser_sensor",
-            "unit norm",
+            "it needs 1: x, y, z, w of a unit quaternion",
         ),
     ],
 )

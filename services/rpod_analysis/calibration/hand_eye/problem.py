@@ -20,7 +20,6 @@ from rpod_schemas.arrays import FloatArray
 
 TWIST_S = 0.1
 """Half the time over which the truth's twist is taken."""
-_CROSSED = (0, 1, 2, -1.0), (0, 2, 1, 1.0), (1, 0, 2, 1.0), (1, 2, 0, -1.0), (2, 0, 1, -1.0), (2, 1, 0, 1.0)
 
 
 class Problem:
@@ -102,8 +101,5 @@ def _transposed(matrices: FloatArray) -> FloatArray:
 
 
 def _crossed(vectors: FloatArray) -> FloatArray:
-    """Return the matrices [v x] of vectors, shape (N, 3, 3)."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    for row, column, axis, sign in _CROSSED:
-        matrices[:, row, column] = sign * vectors[:, axis]
-    return matrices
+    """Return the matrices [v x] of vectors, shape (N, 3, 3): row k is e_k x v."""
+    return np.cross(np.eye(3), vectors[:, None])

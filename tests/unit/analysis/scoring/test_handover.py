@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_analysis.scoring.handover import WITHIN_95, Handovers, beyond
+from rpod_analysis.scoring.handover import Handovers, beyond
+from rpod_analysis.scoring.score import NEES_95
 
 SECOND_NS = 1_000_000_000
 
@@ -55,14 +56,14 @@ def test_a_camera_that_takes_over_from_a_lidar_is_a_handover_with_gap_and_jump()
 def test_a_jump_is_what_is_beyond_the_covariance_of_the_estimate_before():
     found = of(run([*LIDAR, *CAMERA], jump_m=0.02, jump_deg=0.5, at_s=5.05, sigma=0.005))
     assert (found.change_m, found.change_deg) == (pytest.approx(0.02), pytest.approx(0.5, abs=1e-4))
-    assert found.jump_m == pytest.approx(0.02 - 0.005 * np.sqrt(WITHIN_95), rel=1e-6)
+    assert found.jump_m == pytest.approx(0.02 - 0.005 * np.sqrt(NEES_95[3]), rel=1e-6)
     assert found.jump_deg == 0.0, "0.5 deg lie within an uncertainty of 0.3 deg"
 
 
 def test_a_change_is_compared_with_the_covariance_along_its_own_direction():
     covariance = np.diag([1.0, 0.01, 0.01]) ** 2
     assert beyond(np.array([2.0, 0.0, 0.0]), covariance) == 0.0
-    assert beyond(np.array([0.0, 2.0, 0.0]), covariance) == pytest.approx(2.0 - 0.01 * np.sqrt(WITHIN_95))
+    assert beyond(np.array([0.0, 2.0, 0.0]), covariance) == pytest.approx(2.0 - 0.01 * np.sqrt(NEES_95[3]))
     assert beyond(np.zeros(3), covariance) == 0.0
 
 
