@@ -78,3 +78,8 @@ class PartSolution:
     """Vector from the registration's position to this position, sensor axes, shape (3,), m."""
     sigma_m: float
     """Standard deviation of the lasting error of this part along the offset, m."""
+    apart_m: float
+    """Standard deviation of the offset if all data are right, m: the registration has used this part too."""
+    follows: float = 1.0
+    """Share of an error of the rest of the data that the offset shows; the registration follows the part by
+    what is left."""

@@ -25,6 +25,7 @@ from rpod_campaign.sequences.settings import inputs_of, settings_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
 from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.integrity.frame_evidence import share_followed
 from rpod_pose.navigation.integrity.levels import declared_covariance
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
@@ -161,7 +162,9 @@ def _scored(
         return row
     twist = (output.odometry.linear_m_s, output.odometry.angular_rad_s)
     moving = [output.odometry.pose.rotation.apply(each) for each in twist]
-    covariance = output.odometry.pose_covariance + declared_covariance(config, truth.translation, *moving)
+    followed = share_followed(output.measured)
+    unseen = declared_covariance(config, truth.translation, *moving, followed=followed)
+    covariance = output.odometry.pose_covariance + unseen
     above_level = angle_deg > integrity.attitude_level_deg or distance_m > integrity.position_level_m
     above_limit = angle_deg > integrity.attitude_limit_deg or distance_m > integrity.position_limit_m
     return row | {

@@ -8,9 +8,9 @@ estimate.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from math import exp, hypot, inf
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
+from math import exp, hypot, inf, isfinite, pi, sqrt
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -39,8 +39,18 @@ UNRESOLVED = 2.0 / 3.0
 """Largest deviation of a size that the frames cannot exclude, over that of the tested other size. A
 likelihood prefers the nearer of two sizes, apart from a shift that right models show too. Hand: the shift was
 measured as 0.4 to 0.8 % of the size (mock-up, ENVISAT), where the other size is 3 % off."""
+_NOTHING = 1e-9
+"""Share of an error that counts as none. Numerics: nothing is divided by zero."""
 MOST_LOG_ODDS = 50.0
 """Largest log odds in an exponential; larger ones are clipped. Numerics: the result stays finite."""
+
+
+class PartHypothesis(NamedTuple):
+    """The hypothesis that a part of the data is right, and that all data together are wrong."""
+
+    solution: Solution
+    agreeing: Solution
+    """The solution as it would be if it agreed with the estimate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +63,13 @@ class FrameEvidence:
     """Stamps, ns, of the frames, and their poses for other sizes of the target."""
     parts: Mapping[str, tuple[int, PartSolution]] = field(default_factory=dict)
     """Stamp, ns, and part solution of the newest frame that has one."""
+    followed: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    """Stamp, ns, of the newest frame, and the share of an error of its ranges that its pose has."""
+
+    @property
+    def ranges_followed(self) -> float:
+        """Largest share of an error of the ranges that a sensor's poses have."""
+        return max((share for _, share in self.followed.values()), default=1.0)
 
     def after(
         self, sensor: str, stamp_ns: int, found: Registration | None, memory_s: float
@@ -70,7 +87,9 @@ class FrameEvidence:
             sizes[sensor] = (*sizes.get(sensor, ()), (stamp_ns, other_sizes))
         if found is not None and found.by_part is not None:
             parts[sensor] = (stamp_ns, found.by_part)
-        return FrameEvidence(misfits, sizes, parts)
+        followed = {name: each for name, each in self.followed.items() if each[0] >= oldest_ns}
+        followed[sensor] = (stamp_ns, share_followed(found))
+        return FrameEvidence(misfits, sizes, parts, followed)
 
     def tests(self, range_m: float, range_share: float, correlated_s: float = 0.0) -> list[Statistic]:
         """Return the tests of all sensors.
@@ -95,7 +114,7 @@ class FrameEvidence:
             text = f"{name}: residuals of neighbours are correlated"
             tests.append(Statistic(text, squared, 1, WRONG_MODEL))
         for name, (_, part) in self.parts.items():
-            variance = part.sigma_m**2 + (range_share * range_m) ** 2
+            variance = part.apart_m**2 + (part.follows * range_share * range_m) ** 2
             length_m = float(np.linalg.norm(part.offset_m))
             text = f"{name}: position {1e3 * length_m:.0f} mm from that by {part.name}"
             tests.append(Statistic(text, length_m**2 / variance, 1, WRONG_SIZE))
@@ -103,12 +122,13 @@ class FrameEvidence:
 
     def solutions(
         self, estimate: FilterState, place_m: FloatArray, share: float, range_share: float
-    ) -> list[Solution]:
+    ) -> list[PartHypothesis]:
         """Return the solutions by parts of the data, along the line of sight to the target.
 
-        A right part is off by its own error only. A wrong one is off by any length up to ``SPREAD`` times the
-        range. If part and estimate agree, a wrong part is improbable by Bayes's rule, because it would agree
-        only by chance.
+        A right part and a right estimate are off by their own errors only. A wrong one is off by any length
+        up to ``SPREAD`` times the range. If they agree, a wrong one is improbable by Bayes's rule, because
+        they would agree only by chance; the further apart they are, the more probable it is. The part's
+        error along the line of sight is its own, not the estimate's.
 
         Args:
             estimate: the estimate.
@@ -117,18 +137,26 @@ class FrameEvidence:
             range_share: standard deviation of a slow drift of the ranges, over the range.
         """
         range_m = max(float(np.linalg.norm(place_m)), 1e-6)
+        drift_m = range_share * range_m
         along = place_m / range_m
-        solutions = []
+        across = np.eye(6)
+        across[POSITION, POSITION] -= np.outer(along, along)
+        found = []
         for name, (_, part) in self.parts.items():
             length_m = float(np.linalg.norm(part.offset_m))
-            sigma_m = hypot(part.sigma_m, range_share * range_m)
-            odds = sigma_m / max(SPREAD * range_m, sigma_m) * exp(min(0.5 * (length_m / sigma_m) ** 2, 50.0))
-            covariance = estimate.covariance[POSE, POSE].copy()
-            covariance[POSITION, POSITION] += part.sigma_m**2 * np.outer(along, along)
+            sigma_m = hypot(part.apart_m, part.follows * drift_m)
+            spread_m = max(part.follows, _NOTHING) * SPREAD * range_m
+            by_chance = min(sqrt(0.5 * pi) * sigma_m / spread_m, 1.0)
+            likelihood = exp(min(0.5 * (length_m / sigma_m) ** 2, MOST_LOG_ODDS))
+            covariance: FloatArray = across @ estimate.covariance[POSE, POSE] @ across
+            own_m2 = part.sigma_m**2 + drift_m**2
+            covariance[POSITION, POSITION] += own_m2 * np.outer(along, along) if isfinite(own_m2) else inf
+            agreeing = Solution(f"{name}: {part.name}", np.zeros(6), covariance, share * by_chance)
             separation = np.concatenate([length_m * along, np.zeros(3)])
-            text = f"{name}: {part.name}"
-            solutions.append(Solution(text, separation, covariance, min(share * odds, 1.0)))
-        return solutions
+            probability = min(share * by_chance * likelihood, 1.0)
+            solution = replace(agreeing, separation=separation, probability=probability)
+            found.append(PartHypothesis(solution, agreeing))
+        return found
 
     def size_solutions(
         self, estimate: FilterState, risk: float, share: float, correlated_s: float
@@ -158,6 +186,11 @@ class FrameEvidence:
                 text = f"{name}: {_of_size(1.0 + UNRESOLVED * size.share)}"
                 between.append(Solution(text, UNRESOLVED * step, covariance, 0.5 * share))
         return others, between
+
+
+def share_followed(found: Registration | None) -> float:
+    """Return the share of an error of the ranges that a registered pose has."""
+    return 1.0 if found is None or found.by_part is None else 1.0 - found.by_part.follows
 
 
 def _of_size(factor: float) -> str:

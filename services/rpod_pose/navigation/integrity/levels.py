@@ -22,13 +22,15 @@ user algorithm and possible improvements, IEEE Trans. Aerosp. Electron. Syst. 51
 the allocation of the risk). Words of the result as in RTCA DO-229: protection level, alert limit, misleading.
 """
 
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import ceil, degrees, log10
+from math import ceil, degrees, exp, log
+from operator import neg
 
 import numpy as np
-from scipy.special import chdtri, gammainccinv, ndtr, ndtri
+from scipy.special import chdtri, ndtr
 
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
 from rpod_pose.navigation.filter.rotations import cross_matrix
@@ -36,19 +38,19 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
 _RATIOS = 20
-"""Number of steps to which a ratio of two standard deviations is rounded up, so that few quantiles have to be
+"""Number of steps to which a ratio of two standard deviations is rounded up, so that few tables have to be
 computed and cached. Numerics: a level grows by a twentieth at most."""
 _ROUNDING = 1e-9
 """Part of a step below which a ratio counts as the step itself. Numerics: the error of the division."""
-_DECADE = 20
-"""Number of steps in a decade to which a hypothesis' probability is rounded up, for the same reason.
-Numerics: a probability changes by 12 % at most."""
 _NODES = 24
-"""Number of nodes of the quadrature along each of two angles. Numerics: a quantile is right to 1e-5, a
-hundredth of ``_CLOSE``."""
-_CLOSE = 1e-3
-"""Largest error of a quantile, which is never too small, in standard deviations. Numerics: below a thousandth
-of any level."""
+"""Number of nodes of the quadrature along each of two angles. Numerics: a quantile is right to 1e-5."""
+_STEP, _MOST = 0.05, 12.0
+"""Step and end of a table of tails, in standard deviations. Numerics: at the end a tail is below 1e-30."""
+_NO_LENGTH = 1e-12
+"""Standard deviation of a vector that is known exactly. Numerics: nothing is divided by zero."""
+_HALVINGS = 8
+"""Number of bisections of a level. Numerics: its bounds are a fifth apart at most, so that it is right to a
+thousandth, and never too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +94,18 @@ def protection_levels(solutions: Sequence[Solution], unseen: FloatArray, risk: f
         unseen: covariance of the declared errors, shape (6, 6), as ``declared_covariance`` returns it.
         risk: probability that an error exceeds its level.
     """
-    position_m, position_by = _greatest(solutions, POSITION, unseen, 0.5 * risk)
-    attitude_rad, attitude_by = _greatest(solutions, ATTITUDE, unseen, 0.5 * risk)
+    position_m, position_by = _level(solutions, POSITION, unseen, 0.5 * risk)
+    attitude_rad, attitude_by = _level(solutions, ATTITUDE, unseen, 0.5 * risk)
     return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
 
 
 def declared_covariance(
-    config: IntegrityConfig, place_m: FloatArray, velocity_m_s: FloatArray, rate_rad_s: FloatArray
+    config: IntegrityConfig,
+    place_m: FloatArray,
+    velocity_m_s: FloatArray,
+    rate_rad_s: FloatArray,
+    *,
+    followed: float = 1.0,
 ) -> FloatArray:
     """Return the covariance of (dp, dtheta) by the declared errors of mount, clock and ranges, shape (6, 6).
 
@@ -107,6 +114,8 @@ def declared_covariance(
         place_m: position of the target's origin relative to the sensor, in the solutions' axes, shape (3,).
         velocity_m_s: velocity of the origin, by which an error of the clock displaces it, shape (3,).
         rate_rad_s: rate of the target, by which an error of the clock turns it, shape (3,).
+        followed: share of an error of the ranges that the estimate has; less than 1 where the apparent size
+            tells the distance too.
     """
     mount_rad = np.deg2rad(config.mount_sigma_deg)
     turned = np.vstack([-cross_matrix(place_m), np.eye(3)])
@@ -114,78 +123,92 @@ def declared_covariance(
     covariance: FloatArray = (
         mount_rad**2 * turned @ turned.T
         + config.clock_sigma_s**2 * np.outer(late, late)
-        + config.tuning.range_share**2 * np.outer(along, along)
+        + (followed * config.tuning.range_share) ** 2 * np.outer(along, along)
     )
     covariance[POSITION, POSITION] += config.mount_sigma_m**2 * np.eye(3)
     return covariance
 
 
-def _greatest(
-    solutions: Sequence[Solution], part: slice, unseen: FloatArray, risk: float
-) -> tuple[float, str]:
-    """Return the greatest level of the solutions, and the name of its solution.
+class _Tail:
+    """Probability that the error under a hypothesis is above a length, times that of the hypothesis."""
 
-    The solution with all measurements gets half of the risk, and the others share the other half. The level
-    is NaN if that of any solution is unknown.
+    def __init__(self, solution: Solution, part: slice, covariance: FloatArray) -> None:
+        self.name, self.probability = solution.name, solution.probability
+        self._apart = float(np.linalg.norm(solution.separation[part]))
+        self._sigma, self._table = _shape_of(covariance)
+
+    def above(self, length: float) -> float:
+        """Return the probability that the hypothesis is true and the error above a length."""
+        place = (length - self._apart) / self._sigma / _STEP
+        if place <= 0.0:
+            return self.probability
+        lower = min(int(place), len(self._table) - 2)
+        low, high = self._table[lower], self._table[lower + 1]
+        return self.probability * exp(low + (high - low) * (place - lower))
+
+    def length(self, risk: float) -> float:
+        """Return the length that the error exceeds with a probability, under this hypothesis alone."""
+        if risk >= self.probability:
+            return 0.0
+        return self._apart + self._sigma * _quantile(self._table, risk / self.probability)
+
+
+def _level(solutions: Sequence[Solution], part: slice, unseen: FloatArray, risk: float) -> tuple[float, str]:
+    """Return the length that the error exceeds with at most ``risk``, and the hypothesis with most of it.
+
+    The probabilities of all hypotheses at this length add up to the risk. A hypothesis that is less probable
+    than what the others leave of it has no part in the level. The level is NaN if the covariance of any
+    solution is unknown.
     """
-    shares = (0.5 * risk, *[0.5 * risk / max(len(solutions) - 1, 1)] * (len(solutions) - 1))
-    levels = [_level(each, part, unseen, share) for each, share in zip(solutions, shares, strict=True)]
-    first = int(np.argmax(levels))  # the index of the first NaN if there is one
-    return levels[first], solutions[first].name
+    tails = []
+    for each in solutions:
+        covariance = (each.covariance + unseen)[part, part]
+        if not np.isfinite(covariance).all():
+            return float("nan"), each.name
+        tails.append(_Tail(each, part, covariance))
+    low = max(tail.length(risk) for tail in tails)
+    high = max(low, *(tail.length(risk / len(tails)) for tail in tails))
+    for _ in range(_HALVINGS):
+        between = 0.5 * (low + high)
+        enough = sum(tail.above(between) for tail in tails) <= risk
+        low, high = (low, between) if enough else (between, high)
+    return high, max(tails, key=lambda tail: tail.above(high)).name
 
 
-def _level(solution: Solution, part: slice, unseen: FloatArray, risk: float) -> float:
-    """Return the level by one solution with its part of the risk; NaN if the covariance is unknown."""
-    probability = min(risk / _rounded(solution.probability), 1.0)
-    quantile = length_quantile((solution.covariance + unseen)[part, part], probability)
-    return float(np.linalg.norm(solution.separation[part])) + quantile
-
-
-def _rounded(probability: float) -> float:
-    """Return the next step of a probability that is not below it."""
-    return float(10.0 ** (ceil(_DECADE * log10(probability) - _ROUNDING) / _DECADE))
-
-
-def length_quantile(covariance: FloatArray, probability: float) -> float:
-    """Return the length that a normal vector exceeds with at most a probability; NaN if it is unknown.
-
-    Args:
-        covariance: covariance of the vector, shape (3, 3).
-        probability: the probability, above 0.
-    """
-    if not np.isfinite(covariance).all():
-        return float("nan")
+def _shape_of(covariance: FloatArray) -> tuple[float, tuple[float, ...]]:
+    """Return the standard deviation of a vector in its worst direction, and the table of its tail."""
     sigma = np.sqrt(np.linalg.eigvalsh(covariance).clip(0.0))
     if not sigma[2] > 0.0:
-        return 0.0
+        return _NO_LENGTH, _log_tail(0.0, 0.0)
     least, middle = (ceil(_RATIOS * ratio - _ROUNDING) for ratio in sigma[:2] / sigma[2])
-    return float(sigma[2]) * _shaped_quantile(middle / _RATIOS, least / _RATIOS, probability)
+    return float(sigma[2]), _log_tail(middle / _RATIOS, least / _RATIOS)
+
+
+def _quantile(table: tuple[float, ...], probability: float) -> float:
+    """Return the place in a table at which the tail has a probability, in standard deviations."""
+    wanted = log(probability)
+    upper = min(max(bisect(table, -wanted, key=neg), 1), len(table) - 1)
+    low, high = table[upper - 1], table[upper]
+    return _STEP * max(upper - 1 + (wanted - low) / (high - low), 0.0)
 
 
 @cache
-def _shaped_quantile(middle: float, least: float, probability: float) -> float:
-    """Return the length that (z1, middle z2, least z3) exceeds with a probability; z is standard normal.
+def _log_tail(middle: float, least: float) -> tuple[float, ...]:
+    """Return the log probabilities that (z1, middle z2, least z3) is longer than each place of a table.
 
-    With z = rho u, u on the unit sphere, the length is rho g(u). Length and direction of z are independent,
-    so that P(|x| > r) is the mean of P(rho > r / g(u)) over the sphere, an octant of it for symmetry.
+    z is standard normal. With z = rho u, u on the unit sphere, the length is rho g(u). Length and direction
+    of z are independent, so that P(|x| > r) is the mean of P(rho > r / g(u)) over the sphere, an octant of it
+    for symmetry. Between two places the logarithm lies above the chord by at most an eighth of the step's
+    square, which is added.
     """
     height, weight = _nodes()
     angle = 0.5 * np.pi * height
     around = (middle * np.cos(angle)) ** 2 + (least * np.sin(angle)) ** 2
     g = np.sqrt(height[:, None] ** 2 + (1.0 - height[:, None] ** 2) * around)
-
-    def excess(length: float) -> float:
-        x = length / g  # P(rho > x) of chi with three degrees of freedom
-        beyond = 2.0 * ndtr(-x) + np.sqrt(2.0 / np.pi) * x * np.exp(-0.5 * x**2)
-        return float(weight @ beyond @ weight) - probability
-
-    low, high = float(-ndtri(0.5 * probability)), float(np.sqrt(2.0 * gammainccinv(1.5, probability)))
-    if not (excess(low) > 0.0 > excess(high)):  # errors along one axis only, or equal along all axes
-        return low if excess(low) <= 0.0 else high
-    while high - low > _CLOSE:
-        between = 0.5 * (low + high)
-        low, high = (between, high) if excess(between) > 0.0 else (low, between)
-    return high
+    x = np.arange(0.0, _MOST, _STEP)[:, None, None] / g  # P(rho > x) of chi with three degrees of freedom
+    beyond = 2.0 * ndtr(-x) + np.sqrt(2.0 / np.pi) * x * np.exp(-0.5 * x**2)
+    log_tail = np.log(np.einsum("i,kij,j->k", weight, beyond, weight)) + 0.125 * _STEP**2
+    return tuple(np.minimum(log_tail, 0.0).tolist())
 
 
 @cache

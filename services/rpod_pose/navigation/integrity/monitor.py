@@ -238,7 +238,8 @@ class Monitor:
         )
         solutions += other_sizes
         place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
-        unseen = declared_covariance(self._config, place_m, *moving)
+        followed = memory.frames.ranges_followed
+        unseen = declared_covariance(self._config, place_m, *moving, followed=followed)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
             return protection_levels(chosen, unseen, self._config.risk)
@@ -246,10 +247,10 @@ class Monitor:
         parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
         less = ""
         for part in parts:
-            if vague := _above(levels_of([solutions[0], replace(part, separation=np.zeros(6))]), *limit):
+            if vague := _above(levels_of([part.agreeing]), *limit):
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
-                solutions.append(part)
+                solutions.append(part.solution)
         if between and (over := _above(levels_of([*solutions, *between]), *limit)):
             less = f"{SIZE_DECLARED}: {over}"
         else:

@@ -322,21 +322,21 @@ class JointTracker:
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        covariance, parts = self._uncertainty(seen, sights, aligned)
-        both = (source := source_of(tuning.acceptance, points=points, edges=checked)) is Source.PMD_JOINT
+        known = self._uncertainty(seen, sights, aligned)
+        measured = points >= tuning.acceptance.min_points
         return Registration(
-            source,
+            source_of(tuning.acceptance, points=points, edges=checked),
             T_sensor_target=pose_of(R, t),
             belief=belief,
             cost_m2=depth.squares_m2 / max(points, 1),
             inliers=points + edges,
             inlier_share=(points + found.found) / max(len(seen.points_m) + checked, 1),
             explained_share=inconsistent.explained_share,
-            covariance=covariance,
-            parts=parts,
+            covariance=known.covariance,
+            parts=known.parts,
             iterations=steps,
             range_bias_m=bias,
-            by_part=by_distances(t, bias, self._ranges.bias_m, self._model_error.scale) if both else None,
+            by_part=by_distances(t, bias, known.bias, self._model_error.scale, measured=measured),
         )
 
     def _uncertainty(self, seen: JointFrame, sights: Sights, aligned: Aligned) -> Uncertainty:

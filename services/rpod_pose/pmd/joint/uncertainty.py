@@ -1,5 +1,6 @@
 """Covariance of a pose from the joint least-squares fit, and its parts by how long the errors last."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,17 @@ light and brightness that the rendering does not have. Campaign: RMS of the exce
 242 frames of the mock-up and 15 bodies of the derived half (seeds 62, 63), aligned from the true pose."""
 
 
+class BiasErrors(NamedTuple):
+    """How well the bias of a frame's ranges is known."""
+
+    prior_m: float
+    """Standard deviation of the bias before the frame."""
+    fitted_m: float
+    """Standard deviation of the fitted bias if calibration and model are as good as assumed."""
+    follows: float
+    """Share of a bias of the ranges that the fitted one shows; the pose follows it by what is left."""
+
+
 class Uncertainty(NamedTuple):
     """Covariance of a pose and its parts."""
 
@@ -31,6 +43,8 @@ class Uncertainty(NamedTuple):
     """Covariance of (dp, dtheta), sensor axes, with all errors that the tracker assumes, shape (6, 6)."""
     parts: ErrorParts
     """Parts of the covariance by how long the errors last."""
+    bias: BiasErrors
+    """How well the bias of the ranges is known."""
 
 
 class JointModelError:
@@ -113,12 +127,16 @@ def uncertainty(
             share average out less.
     """
     fit, beside = aligned.fit, aligned.spread
-    white, of_sensor, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
+    white, uneven, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
+    of_sensor = uneven.copy()
     of_sensor[-1, -1] += bias_m**-2
     white = white + weak
     of_some = alone[:, :6] @ fit.evidence.beside
     of_all = COMMON_PX * (alone[:, :6] @ fit.evidence.every)
     shifts = np.outer(of_some, of_some) + np.outer(of_all, of_all)
+    of_lines = jackknife(lines, alone, samples=alone @ of_image @ alone)
+    follows = 1.0 - float(alone[-1, -1]) * bias_m**-2
+    others = alone @ (white + uneven) @ alone + of_lines + shifts + whole - alone
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
 
     def turned(covariance: FloatArray, besides: FloatArray | float = 0.0) -> FloatArray:
@@ -130,8 +148,9 @@ def uncertainty(
         ErrorParts(
             white=turned(alone @ white @ alone),
             of_sensor=turned(alone @ of_sensor @ alone + shifts),
-            of_image=turned(jackknife(lines, alone, samples=alone @ of_image @ alone), beside),
+            of_image=turned(of_lines, beside),
             image_turn_rad=MIXED_PX / radius_px,
             of_model=turned(whole - alone),
         ),
+        bias=BiasErrors(bias_m, math.hypot(follows * bias_m, math.sqrt(others[-1, -1])), follows),
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from navigator_rig import Slow
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
 
 from rpod_pose.navigation.filter import POSE, innovation_of, start
 from rpod_pose.navigation.history import History, apply
@@ -15,7 +16,6 @@ from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.levels import (
     Solution,
     declared_covariance,
-    length_quantile,
     protection_levels,
 )
 from rpod_pose.navigation.integrity.monitor import (
@@ -56,6 +56,15 @@ def truth(time_s):
         rotation=Rotation.from_rotvec([np.deg2rad(2.0) * time_s, 0.0, 0.0]),
         translation_m=(0.0, 0.0, 6.0 - 0.2 * time_s),
     )
+
+
+def length_of(covariance, probability):
+    """Return the length that a normal vector with a covariance exceeds with a probability."""
+    filled = np.zeros((6, 6))
+    filled[:3, :3] = covariance
+    return protection_levels(
+        [Solution("", np.zeros(6), filled)], np.zeros((6, 6)), 2 * probability
+    ).position_m
 
 
 def levels_of(solutions, config, *how):
@@ -262,17 +271,34 @@ def test_errors_exceed_their_level_as_rarely_as_the_risk_says(sigma):
     alone = Solution("", np.zeros(6), sigma**2 * np.eye(6))
     levels = levels_of([alone], config, TEN_M, np.zeros(3), np.zeros(3))
     lengths = sigma * np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 3)), axis=1)
-    assert np.mean(lengths > levels.position_m) == pytest.approx(0.02 / 4, rel=0.1)
+    assert np.mean(lengths > levels.position_m) == pytest.approx(0.02 / 2, rel=0.1)
 
 
 def test_a_quantile_of_a_length_is_that_of_its_covariances_shape():
     flat, alike = np.diag([1.0, 0.09, 0.3]), np.eye(3)
     lengths = np.linalg.norm(np.random.default_rng(3).standard_normal((400_000, 3)) @ np.sqrt(flat), axis=1)
-    assert np.mean(lengths > length_quantile(flat, 0.01)) == pytest.approx(0.01, rel=0.05)
-    assert length_quantile(np.diag([4e-6, 0.0, 0.0]), 1e-6) == pytest.approx(9.784e-3, rel=1e-3)
-    assert length_quantile(alike, 1e-6) == pytest.approx(5.538, rel=1e-3)
-    assert length_quantile(flat, 1.0) == length_quantile(np.zeros((3, 3)), 1e-6) == 0.0
-    assert np.isnan(length_quantile(np.full((3, 3), np.nan), 1e-6))
+    assert np.mean(lengths > length_of(flat, 0.01)) == pytest.approx(0.01, rel=0.05)
+    assert length_of(np.diag([4e-6, 0.0, 0.0]), 1e-6) == pytest.approx(9.784e-3, rel=1e-3)
+    assert length_of(alike, 1e-6) == pytest.approx(5.538, rel=1e-3)
+    assert length_of(np.zeros((3, 3)), 1e-6) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_risks_of_all_hypotheses_at_the_level_add_up_to_half_of_the_risk():
+    sigmas, apart, shares = np.array([1.0, 2.0, 4.0]), np.array([0.0, 3.0, 6.0]), np.array([1.0, 0.2, 0.05])
+    solutions = [
+        Solution(str(k), np.r_[apart[k], np.zeros(5)], np.diag([sigmas[k] ** 2, 0, 0, 0, 0, 0]), shares[k])
+        for k in range(3)
+    ]
+    level_m = protection_levels(solutions, np.zeros((6, 6)), 0.02).position_m
+    risk = (shares * 2.0 * ndtr(-(level_m - apart) / sigmas)).sum()
+    assert risk == pytest.approx(0.01, rel=0.02)
+    assert risk <= 0.01
+
+
+def test_a_hypothesis_that_is_less_probable_than_the_risk_has_no_part_in_the_level():
+    alone = Solution("", np.zeros(6), 1e-6 * np.eye(6))
+    far = Solution("far", np.r_[1.0, np.zeros(5)], 1e-6 * np.eye(6), 1e-7)
+    assert protection_levels([alone, far], np.zeros((6, 6)), 1e-6).position_m < 0.01
 
 
 def test_a_hypothesis_whose_covariance_is_not_known_leaves_no_level():
@@ -292,8 +318,8 @@ def test_a_mounts_turn_and_a_drift_of_the_ranges_act_across_each_other():
         return levels_of(alone, config, TEN_M, still, still).position_m
 
     across, along = level_m(0.05, 0.0), level_m(0.0, 5e-4)
-    assert across == pytest.approx(5.515 * 10.0 * np.deg2rad(0.05), rel=1e-3)
-    assert along == pytest.approx(5.158 * 0.005, rel=1e-3)
+    assert across == pytest.approx(5.386 * 10.0 * np.deg2rad(0.05), rel=1e-3)
+    assert along == pytest.approx(5.026 * 0.005, rel=1e-3)
     assert max(across, along) < level_m(0.05, 5e-4) < np.hypot(across, along)
 
 
@@ -392,14 +418,42 @@ def test_however_many_frames_prefer_a_size_an_error_that_they_share_may_be_the_r
 @pytest.mark.parametrize(("off_m", "fails"), [(0.0, False), (0.02, False), (0.06, True)])
 def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
     estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
-    told = inside(by_part=PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), 0.007))
-    (test,), (solution,) = told.tests(6.0, 0.0), told.solutions(estimate, truth(0.0).translation, 1e-4, 0.0)
+    told = inside(by_part=PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), 0.007, 0.007))
+    (test,) = told.tests(6.0, 0.0)
+    ((solution, _),) = told.solutions(estimate, truth(0.0).translation, 1e-4, 0.0)
     assert test.exceeds_risk(1e-6) == fails
     still = np.zeros(3)
     alone = Solution("", np.zeros(6), 1e-12 * np.eye(6))
     levels = levels_of([alone, solution], NOTHING_UNSEEN, TEN_M, still, still)
     assert levels.position_by == "pmd: measured distances alone"
-    assert levels.position_m > off_m + 2.0 * 0.007
+    assert levels.position_m > off_m + 1.6 * 0.007
+
+
+def test_a_drift_of_the_ranges_moves_the_estimate_as_far_as_it_follows_them():
+    alone, still = [Solution("", np.zeros(6), 1e-12 * np.eye(6))], np.zeros(3)
+    config = IntegrityConfig(mount_sigma_deg=0.0, mount_sigma_m=0.0, clock_sigma_s=0.0)
+    whole, part = (
+        protection_levels(alone, declared_covariance(config, TEN_M, still, still, followed=share), 1e-6)
+        for share in (1.0, 0.2)
+    )
+    assert part.position_m == pytest.approx(0.2 * whole.position_m, rel=1e-3)
+
+
+def test_ranges_are_followed_as_the_sensor_with_most_of_it_does():
+    part = PartSolution("measured distances alone", np.zeros(3), 0.007, 0.006, follows=0.8)
+    told = inside(by_part=part)
+    assert told.ranges_followed == pytest.approx(0.2)
+    told = told.after("lidar", START_NS, Registration(Source.LIDAR), 60.0)
+    assert told.ranges_followed == 1.0
+    assert told.after("pmd", START_NS + 70 * SECOND_NS, None, 60.0).ranges_followed == 1.0
+
+
+def test_where_the_pose_follows_the_distances_their_agreement_tells_nothing():
+    estimate = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=CONFIG)
+    part = PartSolution("measured distances alone", np.array([0.0, 0.0, 1e-4]), 0.04, 1e-4, follows=0.0)
+    ((solution, agreeing),) = inside(by_part=part).solutions(estimate, truth(0.0).translation, 1e-4, 0.0)
+    assert agreeing.probability == 1e-4
+    assert solution.probability == pytest.approx(1e-4 * np.exp(0.5))
 
 
 @pytest.mark.parametrize(
@@ -408,15 +462,19 @@ def test_a_level_covers_the_position_by_distances_alone(off_m, fails):
         (0.0, 0.001, IntegrityState.NOMINAL),
         (0.0, 0.04, IntegrityState.CAUTION),
         (0.018, 0.004, IntegrityState.UNAVAILABLE),
+        (0.032, 0.007, IntegrityState.UNAVAILABLE),
+        (0.0, np.inf, IntegrityState.CAUTION),
         (0.4, 0.04, IntegrityState.ALERT),
     ],
 )
 def test_distances_that_are_not_good_enough_take_nothing_away_and_are_told(track, off_m, sigma_m, state):
     before = follow(track, PMD_S)[-1]
-    part = PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), sigma_m)
+    part = PartSolution("measured distances alone", np.array([0.0, 0.0, off_m]), sigma_m, sigma_m)
     track.memory = replace(track.memory, frames=inside(by_part=part))
     told = track.measure(PMD_S[-1] + 0.1)
     assert told.state is state
+    if state is IntegrityState.UNAVAILABLE:
+        assert told.position_level_m > off_m
     if state is IntegrityState.CAUTION:
         assert told.reason.startswith(SIZE_BELIEVED)
         assert "(pmd: measured distances alone)" in told.reason

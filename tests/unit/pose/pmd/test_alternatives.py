@@ -25,6 +25,7 @@ from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import PatchRenderer, expect_edges
 from rpod_pose.pmd.joint.frame import JointFrame, moved_px
+from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_pose.registration.brightness import faces_of, surfaces_of
 from rpod_pose.registration.gauss_newton import State
@@ -153,6 +154,16 @@ def test_the_covariance_contains_the_distance_to_the_other_alignment() -> None:
     more = beside.covariance - alone.covariance
     assert np.degrees(np.sqrt(np.trace(more[3:, 3:]))) == pytest.approx(2.0 * np.sqrt(0.5), rel=1e-3)
     np.testing.assert_allclose(beside.parts.of_image - alone.parts.of_image, more, atol=1e-12)
+
+
+def test_the_fitted_bias_shows_the_stated_share_of_an_error_of_the_ranges() -> None:
+    longer = FRAME.model_copy(update={"depth_m": FRAME.depth_m + np.float32(0.004)})
+    tracker = JointTracker(JointConfig(), MOCKUP, calibrated=True)
+    found, other = (tracker.track(each, TRUTH) for each in (FRAME, longer))
+    assert found.by_part is not None
+    assert other.range_bias_m - found.range_bias_m == pytest.approx(0.004 * found.by_part.follows, rel=0.2)
+    assert 0.2 < found.by_part.follows < 0.98
+    assert found.by_part.follows * 0.007 < found.by_part.apart_m < 0.009
 
 
 def test_from_a_prediction_some_pixels_off_the_likeliest_of_several_alignments_is_taken() -> None:

@@ -5,6 +5,7 @@ import math
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd.joint.check.frame_check import Contradictions
 from rpod_pose.pmd.joint.edge_points import EdgeEvidence
+from rpod_pose.pmd.joint.uncertainty import BiasErrors
 from rpod_pose.pose_evidence import PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
@@ -110,7 +111,9 @@ def wrong_scale(limits: JointAcceptanceConfig, *, bias_m: float, sigma_m: float,
     return f"ranges differ by {bias_m:+.3f} m from the distance that the edges give, limit {most_m:.3f} m"
 
 
-def by_distances(t: FloatArray, bias_m: float, sigma_m: float, scale: float) -> PartSolution:
+def by_distances(
+    t: FloatArray, bias_m: float, known: BiasErrors, scale: float, *, measured: bool
+) -> PartSolution:
     """Return the position measured by the distances alone, without the apparent size that the edges show.
 
     Edges give the distance only if the model has the right size. If the size is wrong, only the fitted bias
@@ -119,10 +122,17 @@ def by_distances(t: FloatArray, bias_m: float, sigma_m: float, scale: float) -> 
     Args:
         t: position of the target, sensor axes, shape (3,), m.
         bias_m: as for ``bias_sigmas``.
-        sigma_m: as for ``bias_sigmas``.
+        known: how well the bias is known.
         scale: relative standard deviation of the target's size, which its file declares.
+        measured: whether there are enough points; without them the distances check nothing.
     """
     range_m = math.hypot(*t)
+    if not measured:
+        known = BiasErrors(math.inf, math.inf, known.follows)
     return PartSolution(
-        "measured distances alone", bias_m * t / range_m, math.hypot(sigma_m, scale * range_m)
+        "measured distances alone",
+        bias_m * t / range_m,
+        math.hypot(known.prior_m, scale * range_m),
+        known.fitted_m,
+        known.follows,
     )
