@@ -66,10 +66,28 @@ class FrameEvidence:
     followed: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Stamp, ns, of the newest frame, and the share of an error of its ranges that its pose has."""
 
-    @property
-    def ranges_followed(self) -> float:
-        """Largest share of an error of the ranges that a sensor's poses have."""
-        return max((share for _, share in self.followed.values()), default=1.0)
+    def ranges_followed(
+        self, estimate: FilterState, without: Mapping[str, FilterState], place_m: FloatArray
+    ) -> float:
+        """Return the share of an error of the ranges that an estimate has.
+
+        Of several sensors, each counts by its weight along the line of sight: the part by which the variance
+        without it is larger. What the weights leave open counts as the sensor with the largest share.
+
+        Args:
+            estimate: the estimate.
+            without: the estimates without one of several sensors, at the same stamp, by that sensor's name.
+            place_m: position of the target relative to the sensor, chaser axes, shape (3,).
+        """
+        most = max((share for _, share in self.followed.values()), default=1.0)
+        own_m2 = _along(estimate, place_m)
+        weights = {name: max(1.0 - own_m2 / _along(other, place_m), 0.0) for name, other in without.items()}
+        known = {name: weight for name, weight in weights.items() if name in self.followed}
+        total = max(sum(known.values()), 1.0)
+        return sum(
+            (weight / total * self.followed[name][1] for name, weight in known.items()),
+            (1.0 - sum(known.values()) / total) * most,
+        )
 
     def after(
         self, sensor: str, stamp_ns: int, found: Registration | None, memory_s: float
@@ -186,6 +204,11 @@ class FrameEvidence:
                 text = f"{name}: {_of_size(1.0 + UNRESOLVED * size.share)}"
                 between.append(Solution(text, UNRESOLVED * step, covariance, 0.5 * share))
         return others, between
+
+
+def _along(state: FilterState, place_m: FloatArray) -> float:
+    """Return the variance of a state's position along a line of sight, times that line's squared length."""
+    return float(place_m @ state.covariance[POSITION, POSITION] @ place_m)
 
 
 def share_followed(found: Registration | None) -> float:

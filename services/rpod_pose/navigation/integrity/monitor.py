@@ -238,7 +238,12 @@ class Monitor:
         )
         solutions += other_sizes
         place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
-        followed = memory.frames.ranges_followed
+        without = {
+            name: predict(other, estimate.stamp_ns, self._filter)
+            for name, other in memory.without.items()
+            if other.stamp_ns <= estimate.stamp_ns
+        }
+        followed = memory.frames.ranges_followed(estimate, without, place_m)
         unseen = declared_covariance(self._config, place_m, *moving, followed=followed)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
@@ -255,11 +260,7 @@ class Monitor:
             less = f"{SIZE_DECLARED}: {over}"
         else:
             solutions += between
-        of_sensors = [
-            solution(f"without {name}", estimate, predict(other, estimate.stamp_ns, self._filter), share)
-            for name, other in memory.without.items()
-            if other.stamp_ns <= estimate.stamp_ns
-        ]
+        of_sensors = [solution(f"without {name}", estimate, other, share) for name, other in without.items()]
         levels = levels_of([*solutions, *of_sensors])
         if of_sensors and (over := _above(levels, *limit)):
             return levels_of(solutions), f"{DECLARED_ONLY}: {over}"

@@ -439,13 +439,19 @@ def test_a_drift_of_the_ranges_moves_the_estimate_as_far_as_it_follows_them():
     assert part.position_m == pytest.approx(0.2 * whole.position_m, rel=1e-3)
 
 
-def test_ranges_are_followed_as_the_sensor_with_most_of_it_does():
+def test_ranges_are_followed_as_the_sensors_do_by_their_weights():
     part = PartSolution("measured distances alone", np.zeros(3), 0.007, 0.006, follows=0.8)
-    told = inside(by_part=part)
-    assert told.ranges_followed == pytest.approx(0.2)
+    told, place_m = inside(by_part=part), truth(0.0).translation
+    both = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
+    assert told.ranges_followed(both, {}, place_m) == pytest.approx(0.2)
+    assert told.after("pmd", START_NS, None, 60.0).ranges_followed(both, {}, place_m) == 1.0
     told = told.after("lidar", START_NS, Registration(Source.LIDAR), 60.0)
-    assert told.ranges_followed == 1.0
-    assert told.after("pmd", START_NS + 70 * SECOND_NS, None, 60.0).ranges_followed == 1.0
+    assert told.ranges_followed(both, {}, place_m) == 1.0
+    camera, lidar = (replace(both, covariance=factor * both.covariance) for factor in (1.25, 5.0))
+    without = {"lidar": camera, "pmd": lidar}
+    assert told.ranges_followed(both, without, place_m) == pytest.approx(0.8 * 0.2 + 0.2)
+    without = {"lidar": replace(both), "pmd": lidar}  # four fifths by the camera, and the rest is open
+    assert told.ranges_followed(both, without, place_m) == pytest.approx(0.8 * 0.2 + 0.2)
 
 
 def test_where_the_pose_follows_the_distances_their_agreement_tells_nothing():
