@@ -97,11 +97,12 @@ def _announced(content: bytes) -> int:
 
 
 def _cut_stl(content: bytes) -> str:
-    starts = content.lstrip().startswith(b"solid")
-    if starts and b"facet" in content:
+    starts = content[:_STL_HEADER].lstrip().lower().startswith(b"solid")
+    facets = b"facet" in content or b"FACET" in content
+    if starts and facets:
         return ""  # text; a binary file's header may begin with "solid" too
     if b"\0" not in content:
-        whole = starts or b"facet" in content
+        whole = starts or facets
         return "" if whole else "is no STL, neither binary nor text: export it again"
     announced = _announced(content)
     has = max(len(content) - _STL_HEADER, 0) // _STL_TRIANGLE

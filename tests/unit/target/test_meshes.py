@@ -331,6 +331,14 @@ def test_what_is_no_usable_file_is_refused_with_a_reason(name: str, content: byt
         read_mesh_file(name, content, {})
 
 
+TRIANGLE = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+
+
+def test_a_text_in_capitals_is_read_as_stl() -> None:
+    (triangle,) = read_mesh_file("hull.stl", (TRIANGLE + b"endsolid a\n").upper(), {}).triangles
+    assert np.ptp(triangle, axis=0).tolist() == [1.0, 1.0, 0.0]
+
+
 def test_a_text_with_a_zero_byte_at_its_end_is_read_as_the_text_that_it_is() -> None:
     corners = b"".join(b"vertex %d %d 0\n" % corner for corner in ((0, 0), (1, 0), (0, 1)))
     text = b"solid a\nfacet normal 0 0 1\nouter loop\n" + corners + b"endloop\nendfacet\nendsolid a\n"

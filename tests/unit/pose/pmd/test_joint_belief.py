@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from rpod_pose.pmd.joint.check.belief import edges_in_place, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.check.belief import edges_in_place, frame_belief, misplaced_edges, wrong_scale
+from rpod_pose.pmd.joint.check.frame_check import Contradictions
 from rpod_pose.pmd.joint.edge_points import EdgeEvidence, EdgeShifts
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
+from rpod_schemas.types import BeliefLevel
 
 LIMITS = JointAcceptanceConfig(
     min_edge_share=0.5, min_points=40, min_edges=40, bias_sigmas=2.0, scale_share=0.004
@@ -31,6 +33,14 @@ def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(checked, in
 def test_misplaced_edges_are_a_reason_with_figures():
     assert misplaced_edges(LIMITS, 0.5) == ""
     assert misplaced_edges(LIMITS, 0.41) == "41% of the edges are in their place, 50% needed"
+
+
+def test_a_pose_with_too_few_edges_names_the_albedo_that_a_user_may_correct():
+    nothing = Contradictions(pixels=500, inconsistent=0, most_in_patch=0, most_missing=0)
+    belief = frame_belief(JointTuning(), nothing, 0.66, bias_m=0.0, sigma_m=0.02, range_m=3.0)
+    assert belief.level is BeliefLevel.DOUBTFUL
+    assert belief.reason.startswith("only 66% of the edges are in their place, 70% needed for a sure pose: ")
+    assert "albedo" in belief.reason
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

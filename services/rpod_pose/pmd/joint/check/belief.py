@@ -10,6 +10,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 from rpod_schemas.types import Source
 
+REMEDY = "check the albedo that the target's file states for the materials of its dark and bright parts"
+"""What a user can do if a right pose is doubtful: the file tells which edges an image shows."""
+
 
 def frame_belief(
     tuning: JointTuning,
@@ -44,8 +47,8 @@ def frame_belief(
     if reason:
         return contradicted(reason, **evidence)
     if in_place < limits.weak_edge_share:
-        needed = f"{limits.weak_edge_share:.0%} needed for a sure pose"
-        return doubtful(f"only {in_place:.0%} of the edges are in their place, {needed}", **evidence)
+        found = f"only {in_place:.0%} of the edges are in their place"
+        return doubtful(f"{found}, {limits.weak_edge_share:.0%} needed for a sure pose: {REMEDY}", **evidence)
     return Belief(evidence=evidence)
 
 
