@@ -195,27 +195,51 @@ class FrameSearch:
         aligned = field_aligned(self._few, PoseArrays(R, t), field, self._field_scales_m)
         return min(self._fitted(*aligned), self._fitted(R, t), key=lambda one: one.fit.loss)
 
-    def turned(self, pose: Placed, left_out: NDArray[np.bool_], shape: PmdFitter, most: float) -> list[Pose]:
+    def turned(
+        self,
+        pose: Placed,
+        left_out: Callable[[FloatArray], NDArray[np.bool_]],
+        shape: PmdFitter,
+        most: float,
+    ) -> list[Pose]:
         """Return the likely turns of a pose: all declared ones unaligned, and the best others aligned.
 
         Args:
             pose: a pose of the target.
-            left_out: mask of the turns in ``Turns.compared`` that are left out, shape (N,).
+            left_out: returns which attitudes are left out, shape (N,), of R_sensor_target, shape (N, 3, 3).
             shape: compares the frame with poses by shape alone.
             most: largest loss of a likely pose by shape.
         """
         turns = self._model.turns
         declared: list[tuple[float, Pose]] = []
         others: list[tuple[float, Pose]] = []
-        for number, R in enumerate(pose.R @ turns.compared):
-            if left_out[number]:
-                continue
-            is_declared = number < turns.declared
+        attitudes = pose.R @ turns.compared
+        for number in np.flatnonzero(~left_out(attitudes)):
+            R, is_declared = attitudes[number], number < turns.declared
             turned = self._fitted(R, pose.t) if is_declared else self._field_aligned(R, pose.t)
             if (loss := shape.fit(turned.R, turned.t).loss) <= most:
                 (declared if is_declared else others).append((loss, turned))
         others.sort(key=lambda each: each[0])
-        return [turned for _, turned in (*declared, *others[: self._tuning.turns])]
+        found = [turned for _, turned in (*declared, *others[: self._tuning.turns])]
+        about = self._turned_about(pose, shape, most)
+        known = turns.close(matrices(about), matrices(found), self._tuning.distinct_deg).any(axis=1)
+        return found + [about[index] for index in np.flatnonzero(~(known | left_out(matrices(about))))]
+
+    def _turned_about(self, pose: Placed, shape: PmdFitter, most: float) -> list[Pose]:
+        """Return the likely turns of a pose about the axis of a nearly round target, aligned, the best first.
+
+        Of all these turns, those are chosen that fit the frame better than their neighbours.
+        """
+        turns, centre_m = self._model.turns.about
+        if not len(turns):
+            return []
+        attitudes = pose.R @ np.concatenate((np.eye(3)[None], turns))
+        places_m = pose.t + (pose.R - attitudes) @ centre_m
+        losses = np.array([shape.fit(*each).loss for each in zip(attitudes, places_m, strict=True)])
+        beside = np.minimum(np.roll(losses, 1), np.roll(losses, -1))
+        likely = np.flatnonzero((losses <= beside) & (losses <= most))
+        best = likely[np.argsort(losses[likely], kind="stable")][: self._tuning.turns]
+        return [self._field_aligned(attitudes[index], places_m[index]) for index in best if index]
 
     def _refined(self, pose: Pose) -> Pose:
         """Return a pose aligned with more of the points, or unchanged if that increases the loss."""

@@ -4,8 +4,7 @@
    compared roughly (``energy``): points off the surface and surface on unlit pixels increase the energy.
 2. The best attitudes are aligned with the points in the target's distance field
    (``registration.field_alignment``) and ranked by rendering: depth and amplitude are compared (``fit``).
-3. Poses with which the best one may be confused are tried too: its near-symmetries and quarter turns about
-   its axes. Only small details and materials distinguish them.
+3. Poses with which the best one may be confused are tried too: near-symmetries, quarter turns about its axes.
 4. The best distinct poses are refined on more points and on the frame's outline.
 
 The search only ranks poses. The tracker refines the best one on depth and edges. It predicts edges by a
@@ -36,6 +35,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri, logit, softmax
 
@@ -236,19 +236,21 @@ class ViewSearch:
     def _turned(self, task: _Task, search: FrameSearch, aligned: list[_Aligned]) -> list[Pose]:
         """Return turns of the best accepted pose that were not aligned yet and may be rivals.
 
-        These are its near-symmetries, and the rotations that map its main faces onto each other, each about
-        an axis that may pass beside the origin. The search leaves them out if other poses fit the file's
-        materials better. Therefore the shape alone decides here whether they may be rivals.
+        These are near-symmetries, rotations that map main faces onto each other, and turns about the axis of
+        a round target. The shape alone decides, as other poses may fit the file's materials better.
         """
         tuning, turns = self._tuning, self._model.turns
         best = next(each for each in aligned if each.is_accepted)
         shape = PmdFitter(tuning.model, self._model.shown, task.scene, known_materials=False)
         most = tuning.rival_losses * shape.fit(best.R, best.t).loss
-        attitudes = best.R @ turns.compared
-        known = np.asarray(turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1))
-        if task.around is not None:
-            known |= ~within(attitudes.astype(np.float32), task.around, tuning.near_deg)
-        return search.turned(best, known, shape, most)
+
+        def left_out(attitudes: FloatArray) -> NDArray[np.bool_]:
+            close = np.asarray(turns.close(attitudes, matrices(aligned), tuning.distinct_deg).any(axis=1))
+            if task.around is not None:
+                close |= ~within(attitudes.astype(np.float32), task.around, tuning.near_deg)
+            return close
+
+        return search.turned(best, left_out, shape, most)
 
     def _better(self, frame: PmdFrame, best: _Aligned, aligned: list[_Aligned], per_loss: float) -> str:
         """Return why a pose is refused that explains the frame better than the best accepted one.
@@ -309,18 +311,15 @@ class ViewSearch:
 
     def _possible(self, frame: PmdFrame, pose: Pose) -> bool:
         """Return whether the whole frame allows that a pose near this one is that of the target."""
-        tracker = self._tracker
-        return not isinstance(tracker, WholeFrameTracker) or not tracker.excluded(
-            frame, pose_of(pose.R, pose.t)
-        )
+        whole = self._tracker if isinstance(self._tracker, WholeFrameTracker) else None
+        return whole is None or not whole.excluded(frame, pose_of(pose.R, pose.t))
 
     def _bias_m(self, task: _Task, fitter: PmdFitter, pose: Pose, per_loss: float) -> float:
         """Return the likeliest length by which all ranges are too long, m, at a pose of the search.
 
-        The search has placed the target where the depth shows it. Because of an error that all ranges share,
-        the outline may be farther off than the reach of the tracker's search for edges. Therefore the target
-        is moved along the line of sight by several biases. Each moved pose fits the depth as before, and the
-        outline, which no bias moves, decides. 0 if the bias moves the outline by less than a coarse pixel.
+        The search has placed the target where the depth shows it. An error that all ranges share may put the
+        outline beyond the reach of the tracker's search for edges. So the target is moved along the line of
+        sight, and the outline, which no bias moves, decides. 0 if it moves by less than a coarse pixel.
         """
         sigma_m, range_m = self._tuning.model.sigma_m, max(float(np.linalg.norm(pose.t)), NEAREST_M)
         radius_px = task.frame.camera.fx * self._model.target.radius_m / max(float(pose.t[2]), NEAREST_M)

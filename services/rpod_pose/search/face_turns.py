@@ -43,7 +43,7 @@ def face_turns(target: Target) -> list[Rotation]:
 
     The identity and exact symmetries may be among them.
     """
-    directions, areas = _main_directions(target)
+    directions, areas = main_directions(target)
     apart = np.flatnonzero(np.abs(directions @ directions[0]) < APART)
     if not apart.size:
         return []
@@ -59,7 +59,7 @@ def face_turns(target: Target) -> list[Rotation]:
     return [turn for _, turn in found[:MOST]]
 
 
-def _main_directions(target: Target) -> tuple[FloatArray, FloatArray]:
+def main_directions(target: Target) -> tuple[FloatArray, FloatArray]:
     """Return the normals with the largest areas, shape (N, 3), and these areas, m2, (N,), largest first."""
     cells = even_directions(CELLS)
     _, cell = KDTree(cells).query(target.normals)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.search.face_turns import face_turns
+from rpod_pose.search.round_turns import RoundTurns, round_turns
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Equivalence, Target
 
@@ -47,6 +48,8 @@ class Turns:
     faces: FloatArray
     """Further rotations that map the main faces onto each other (``face_turns``), without the identity, shape
     (F, 3, 3)."""
+    about: RoundTurns
+    """Turns about the axis of a nearly round target; none if it is not round, or has a free axis."""
     exact: Equivalence
     """Exact symmetries, which no measurement shows."""
 
@@ -68,7 +71,8 @@ class Turns:
         halves = [Rotation.from_rotvec(0.5 * Rotation.from_matrix(turn).as_rotvec()) for turn in exact.turns]
         every = _distinct([*declared, *Rotation.create_group("O"), *halves], exact)
         faces = _distinct([*declared, *face_turns(target)], exact)[len(declared) :]
-        return cls(_matrices(every), len(declared), _matrices(faces), exact)
+        about = RoundTurns.none() if len(exact.free_axes) else round_turns(target)
+        return cls(_matrices(every), len(declared), _matrices(faces), about, exact)
 
     def close(self, attitudes: FloatArray, others: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
         """Return which attitudes are within an angle of which others, modulo the exact symmetries.

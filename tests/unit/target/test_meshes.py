@@ -331,7 +331,9 @@ def test_what_is_no_usable_file_is_refused_with_a_reason(name: str, content: byt
         read_mesh_file(name, content, {})
 
 
-TRIANGLE = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+TRIANGLE = (
+    b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+)
 
 
 def test_a_text_in_capitals_is_read_as_stl() -> None:

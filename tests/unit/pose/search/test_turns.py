@@ -8,13 +8,15 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.search.face_turns import MOST, face_turns
+from rpod_pose.search.round_turns import STEP_DEG, RoundTurns, round_turns
 from rpod_pose.search.turns import Turns, matrices
 from rpod_schemas.arrays import FloatArray
 from rpod_target import Equivalence, load_target
 
 ORIGIN = np.zeros(3)
 HALF = Rotation.from_euler("z", 180.0, degrees=True).as_matrix()
-HALF_TURN = Turns(np.zeros((0, 3, 3)), 0, np.zeros((0, 3, 3)), Equivalence(np.stack((np.eye(3), HALF))))
+NONE = np.zeros((0, 3, 3))
+HALF_TURN = Turns(NONE, 0, NONE, RoundTurns.none(), Equivalence(np.stack((np.eye(3), HALF))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,3 +93,37 @@ def test_a_body_whose_faces_all_look_alike_has_no_turn_of_faces():
     )
     flat = replace(target, normals=np.tile([0.0, 0.0, 1.0], (len(target.normals), 1)))
     assert face_turns(flat) == []
+
+
+def shaped(*parts):
+    """Return a target whose surface is that of several meshes."""
+    mesh = trimesh.util.concatenate(parts)
+    return replace(load_target("hexagonal-body"), triangles_m=mesh.triangles, normals=mesh.face_normals)
+
+
+def drum_with_parts():
+    """Return a drum beside the origin, with a horn on its end and thrusters around it, without a symmetry."""
+    parts = [trimesh.creation.cylinder(radius=0.6, height=1.2, sections=24)]
+    parts.append(trimesh.creation.box((0.5, 0.3, 0.4)).apply_translation((0.1, 0.05, 0.8)))
+    for angle in np.radians((0.0, 90.0, 180.0)):
+        nozzle = trimesh.creation.box((0.2, 0.1, 0.1)).apply_translation((0.7, 0.0, -0.3))
+        parts.append(nozzle.apply_transform(trimesh.transformations.rotation_matrix(angle, (0, 0, 1))))
+    return shaped(*(part.apply_translation((0.3, -0.2, 0.0)) for part in parts))
+
+
+def test_a_drum_with_parts_turns_about_its_axis_wherever_that_is():
+    turns, centre_m = round_turns(drum_with_parts())
+    assert len(turns) == 360.0 / STEP_DEG - 1
+    axis = Rotation.from_matrix(turns[0]).as_rotvec(degrees=True) / STEP_DEG
+    assert np.abs(axis[2]) == pytest.approx(1.0, abs=1e-3)
+    assert centre_m[:2] == pytest.approx((0.3, -0.2), abs=0.03)
+
+
+def test_a_body_with_flat_sides_or_a_part_of_a_round_one_has_no_round_axis():
+    box = trimesh.creation.box((1.0, 1.0, 2.0))
+    prism = trimesh.creation.cylinder(radius=0.6, height=1.5, sections=6)
+    drum = trimesh.creation.cylinder(radius=0.6, height=1.5, sections=24)
+    half = drum.submesh([np.flatnonzero(drum.triangles_center[:, 0] > 0.0)], append=True)
+    assert len(round_turns(shaped(drum)).turns)
+    for other in (box, box.subdivide().subdivide(), prism, half):
+        assert not len(round_turns(shaped(other)).turns)
