@@ -20,6 +20,13 @@ _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
 _SIGNATURES |= dict.fromkeys((b"OFF\n", b"OFF\r", b"COFF\n", b"COFF\r"), "OFF")
+_PAGE = "is a web page, not the file that it offers: download the file itself"
+_NOT_FETCHED = {
+    b"version https://git-lfs": "is a pointer of Git LFS, not the file itself: get it with git lfs pull",
+    b"<!doctype html": _PAGE,
+    b"<html": _PAGE,
+}
+"""What stands in place of a file that was not fetched, by its first bytes in small letters."""
 _NAMES = {
     ".stl": "STL",
     ".obj": "OBJ",
@@ -46,8 +53,10 @@ def unusable(suffix: str, content: bytes, *, largest_mb: float = LARGEST_FILE_MB
     """
     if not content:
         return "is empty (0 bytes): copy or export it again"
-    own = _NAMES[suffix]
-    is_ = _format(content)
+    start = content[:_STL_HEADER].lstrip().lower()
+    if reasons := [reason for found, reason in _NOT_FETCHED.items() if start.startswith(found)]:
+        return reasons[0]
+    own, is_ = _NAMES[suffix], _format(content)
     if is_ not in {"", own}:
         return f"is named {suffix}, but its content is {is_}: give it the suffix .{is_.lower()}"
     if own == "STL":

@@ -302,6 +302,8 @@ DRACO = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_com
     [
         ("hull.stl", b"", r"is empty \(0 bytes\): copy or export it again"),
         ("hull.stl", b"hello\n", "is no STL, neither binary nor text: export it again"),
+        ("hull.obj", b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "with git lfs pull"),
+        ("hull.glb", b"\n<!DOCTYPE html><html>Sign in</html>", "is a web page.*: download the file itself"),
         ("hull.stl", b"ISO-10303-21; a STEP file", "content is STEP: give it the suffix .step"),
         ("hull.stl", STL[:-60], "ends after 2 of 4 triangles: copy or export it again"),
         ("hull.stl", STL[:80] + bytes(4) + STL[84:], "announces 0 triangles, but 4 follow"),
