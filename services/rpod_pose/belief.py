@@ -141,7 +141,8 @@ def undetermined(covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: f
         ("attitude", np.rad2deg(np.rad2deg(covariance[3:, 3:])), max_sigma_deg, "deg"),
     ):
         if not (sigma := worst_sigma(block)) <= most:
-            return f"the {name} is undetermined: sigma {sigma:.2g} {unit}, limit {most:g} {unit}"
+            figures = f"sigma {sigma:.2g} {unit}, limit {most:g} {unit}"
+            return f"the {name} is undetermined: {figures}; wait for another side, or look from nearer"
     return ""
 
 
