@@ -57,6 +57,8 @@ class Mixture(NamedTuple):
     """Brightness that the part adds to the pixel, shape (M,)."""
     alone: NDArray[np.int32]
     """Number of the only part that a pixel shows, -1 for several or the sky, shape (rows, columns)."""
+    free: Float32Array
+    """Share of each pixel that the target does not cover, shape (rows, columns)."""
 
 
 class ByFile(NamedTuple):
@@ -102,7 +104,7 @@ def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> fl
     area 4 pi blur^2 of the blur's autocorrelation. A wall may be behind the target: if the sky were assumed
     to be dark, a pose that hides more of the wall would be likelier. Arguments as for ``fitted``.
     """
-    free = _uncovered(mixture, blur_px)
+    free = _blurred(mixture.free.copy(), blur_px)
     sky = sky_of(patch, free, mixture.window)
     shown = np.float32(sky) * free
     if mixture.pixel.size:
@@ -153,13 +155,6 @@ def faintest(patch: Patch) -> float:
     return 0.5 * patch.least
 
 
-def _uncovered(mixture: Mixture, blur_px: float) -> Float32Array:
-    """Return the smoothed share of each pixel that the target does not cover, shape (rows, columns)."""
-    free = np.ones(mixture.alone.size, np.float32)
-    free[mixture.pixel] = np.where(mixture.alone.ravel()[mixture.pixel] >= 0, 0.0, 0.5)
-    return _blurred(free.reshape(mixture.alone.shape), blur_px)
-
-
 class Behind(NamedTuple):
     """A rendering in front of a sky of constant brightness."""
 
@@ -208,6 +203,7 @@ def mixture_of(
     """
     window, rays = window_of(triangle, per_px), per_px * per_px
     alone, count = one_of(triangle, per_px, window)
+    free = np.where(alone == -1, np.float32(1.0), np.float32(0.0))
     pixels, numbers = np.empty(count, np.int32), np.empty(count, np.int32)
     lights, count = np.empty(count, np.float32), 0
     for i in range(window.rows):
@@ -219,17 +215,18 @@ def mixture_of(
                 count += 1
             if only != MIXED_PIXEL:
                 continue
-            row, column, sky = per_px * (window.row + i), per_px * (window.column + j), False
+            row, column, sky = per_px * (window.row + i), per_px * (window.column + j), 0
             for v in range(row, row + per_px):
                 for u in range(column, column + per_px):
                     met = triangle[v, u]
-                    sky |= met < 0
+                    sky += met < 0
                     if met >= 0:
                         share = int(part[met]), float(light[met])
                         count = _add(numbers, lights, (first, count), share)
             pixels[first:count] = pixel
             alone[i, j] = numbers[first] if count == first + 1 and not sky else -1
-    return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone)
+            free[i, j] = sky / rays
+    return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone, free)
 
 
 @inner_kernel

@@ -62,6 +62,7 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
             expected.probability[mine],
             expected.change[mine],
             expected.merged[mine],
+            expected.before[mine],
         )
         sums = no_sums()
         part = EdgeSight(sight.edges, sight.lens, sight.patch, some)

@@ -3,6 +3,10 @@
 A smoothed image shows an edge beside saturated pixels too far on its darker side, by a length that all such
 edges share. This shift is an unknown of the fit, which is eliminated from its normal equations. So these
 edges lose the information that they have in common, and the others keep theirs.
+
+The outline before something bright without ranges is shifted towards its brighter side: a pixel that mixes
+both adds their phasors, so that its amplitude is smaller than the sum. The shift depends on brightness and
+range, which differ from edge to edge, but not at random. So a part is shared, and a part is each edge's own.
 """
 
 import math
@@ -25,8 +29,9 @@ BLUNTNESS_PX = 1.4
 """Standard deviation of an edge's position caused by noise, px, over the ratio of noise to change of
 amplitude. Hand: about the width over which a change is blurred; expected errors are proportional to it."""
 SHIFT_PX = 0.5
-"""Standard deviation of the shift, towards the darker side, that all edges beside saturated pixels share.
-Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel."""
+"""Standard deviation of the shift that edges beside saturated pixels, or before something bright, share.
+Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel.
+Where opposite phasors mix, it moves by at most the standard deviation of the smoothing, 0.8 px."""
 
 
 class EdgeErrors(NamedTuple):
@@ -125,11 +130,11 @@ def add_edge_points(
             continue
         shown = expected_edges.place[m]
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
-        place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
+        line = Profile(column, row, across, down)
+        place, change = steepest(patch.image, line, reach, patch.least)
         if change < 0.0:
             continue
-        e2 = place * place
-        checked += 1
+        e2, checked = place * place, checked + 1
         near = change > 0.0 and e2 < near2
         found += near
         noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
@@ -141,14 +146,14 @@ def add_edge_points(
         gx = across * at.column_by_x + down * at.row_by_x
         gy = across * at.column_by_y + down * at.row_by_y
         kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
-        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), -place, geman_mcclure(e2, c2))
+        before, normal, at_m = expected_edges.before[m], Vector(-kx, -ky, -kz), Vector(x, y, z)
+        weight = geman_mcclure(e2, c2) / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
+        add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
-            line = Profile(column, row, across, down)
-            edge = SideEdge(Vector(-kx, -ky, -kz), Vector(x, y, z), place, geman_mcclure(e2, c2))
-            shifted += add_to_shifts(of_shifts, edge, patch, line)
+            shifted += add_to_shifts(of_shifts, SideEdge(normal, at_m, place, weight, before), patch, line)
     shifts = EdgeShifts(of_shifts[0], of_shifts[2, 0], of_shifts[2, 1], of_shifts[1])
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
 
@@ -164,11 +169,13 @@ class SideEdge(NamedTuple):
     """Its place on the line across it, px."""
     weight: float
     """Weight of its residual."""
+    before: bool
+    """Whether it is an outline before something bright."""
 
 
 @inner_kernel
 def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Profile) -> int:
-    """Add an edge to the sums of the shifts; return 1 if it lies beside saturated pixels, otherwise 0.
+    """Add an edge to the sums of the shifts; return 1 if it is one of those that share one, otherwise 0.
 
     Args:
         of_shifts: rows of ``EdgeShifts``: the edges beside saturated pixels, all edges, and in the third row
@@ -179,7 +186,7 @@ def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Pro
     """
     darker = darker_side(patch, line, edge.place)
     add_residual(of_shifts[1], edge.normal, edge.at, darker, edge.weight)
-    if not is_beside_saturated(patch, line, edge.place):
+    if not (edge.before or is_beside_saturated(patch, line, edge.place)):
         return 0
     add_residual(of_shifts[0], edge.normal, edge.at, darker, edge.weight)
     of_shifts[2, 0] += edge.weight

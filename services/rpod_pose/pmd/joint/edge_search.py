@@ -83,6 +83,8 @@ class Patch(NamedTuple):
     """Median amplitude of the target; 0 if no edge is searched."""
     saturated: NDArray[np.uint8] = NOT_SATURATED
     """1 where saturated pixels shift edges, shape (rows, columns); shape (0, 0) if none is saturated."""
+    unranged: NDArray[np.uint8] = NOT_SATURATED
+    """1 where no range is measured, shape (rows, columns); shape (0, 0) if that is unknown."""
 
 
 class Imaged(NamedTuple):

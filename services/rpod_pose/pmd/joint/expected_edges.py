@@ -23,30 +23,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_geometry.rays import NEAREST_M, GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.brightness_fit import (
-    fitted,
-    misfit,
-    mixture_of,
-    rendered_by_file,
-)
+from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
     Patch,
     Profile,
     across_edge,
+    bilinear,
     imaged,
     steepest,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.pmd.rendering import Window
-from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
+from rpod_pose.pmd.joint.patch_renderer import PatchRenderer, Shown
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
-from rpod_target import Target
 
 STILL_PX = 0.5
 """Largest motion in the image after which a rendering is still valid. Physics: its rays are half a pixel
@@ -61,101 +53,12 @@ ALIASED_PX = 0.25
 DIRECTIONS = 4
 """Number of directions of edges that are distinguished in a pixel. Hand: they are 45 deg apart; edges that
 are closer are one change."""
+BEYOND_PX = 3.0
+"""Distance from an edge at which the image shows what is beyond it, px. Physics: twice the standard deviation
+of the smoothing, 1.6 px, and a pixel that mixes both."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts. Hand: a smaller one gives no place of the
 edge."""
-
-
-class Appearance(NamedTuple):
-    """Shape and albedo of the target for its rendering."""
-
-    triangles_m: FloatArray
-    """Corners, target axes, shape (T, 3, 3)."""
-    normals: FloatArray
-    """Outward unit normals, target axes, shape (T, 3)."""
-    albedo: FloatArray
-    """Median albedo of each triangle's class, shape (T,)."""
-    radius_m: float
-    """Radius of the bounding sphere about the origin."""
-
-    @classmethod
-    def of(cls, target: Target) -> "Appearance":
-        """Return the appearance of a target."""
-        triangles_m, normals = (np.ascontiguousarray(part) for part in (target.triangles_m, target.normals))
-        return cls(triangles_m, normals, albedos(target), target.radius_m)
-
-
-class Shown(NamedTuple):
-    """A rendering of the target at a pose on the pixels of the patch."""
-
-    pose: PoseArrays
-    range_m: Float32Array
-    """Range along each ray, shape (per_px * rows, per_px * columns); inf if it hits nothing."""
-    per_px: int
-    """Number of rays for each pixel, along rows and columns."""
-    window: Window
-    """The pixels around the target."""
-    shade: Float32Array
-    """Smoothed brightness with the materials of the file, on the pixels of the window."""
-    typical: float
-    """Median brightness before smoothing; 0 if nothing is in view."""
-    fitted: Float32Array
-    """Smoothed brightness, with that of each surface fitted to the image and in its units; same pixels."""
-
-
-class PatchRenderer:
-    """Renders the target on the pixels of a patch.
-
-    Args:
-        target: the target.
-        config: how the image is clipped and smoothed, which applies to the rendering too.
-    """
-
-    def __init__(self, target: Target, config: JointEdgeConfig) -> None:
-        self._appearance, self._config = Appearance.of(target), config
-        self._faces, self._surfaces = faces_of(target), surfaces_of(target)
-        self._room = np.empty((2, 0), np.float32)
-
-    @property
-    def radius_m(self) -> float:
-        """Radius of the target's bounding sphere about its origin."""
-        return self._appearance.radius_m
-
-    def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
-        """Return the first hits of a patch's rays at a pose; the next call overwrites them."""
-        rows, columns = rays.components.shape[1:]
-        if self._room.shape[1] < rows * columns:
-            self._room = np.empty((2, rows * columns), np.float32)
-        range_m, triangle = (line[: rows * columns].reshape(rows, columns) for line in self._room)
-        hits = RenderBuffers(range_m, triangle.view(np.int32))
-        cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
-        return hits
-
-    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
-        """Return a rendering of the target at a pose; the next call overwrites its ranges.
-
-        Args:
-            rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
-            per_px: number of rays for each pixel, along rows and columns.
-            pose: pose of the target.
-            patch: the image.
-        """
-        hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
-        mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
-        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
-        shade, typical = by_file
-        as_seen = typical > 0.0 and patch.typical > 0.0
-        fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade
-        return Shown(pose, hits.range_m, per_px, mixture.window, shade, typical, fit)
-
-    def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
-        """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
-
-        Arguments as for ``render``.
-        """
-        triangle, light = self.cast(rays, pose).triangle, light_of(self._appearance, pose)
-        mixture = mixture_of(triangle, per_px, light, self._faces)
-        return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
 
 
 class ExpectedEdges(NamedTuple):
@@ -173,6 +76,8 @@ class ExpectedEdges(NamedTuple):
     """Expected change of amplitude over two pixels."""
     merged: NDArray[np.bool_]
     """Whether the rendering shows another edge so near that the image may show only that one."""
+    before: NDArray[np.bool_]
+    """Whether the edge is the target's outline before something bright."""
 
     def only(self, chosen: NDArray[np.bool_]) -> "ExpectedEdges":
         """Return the samples that a mask, shape (N,), selects."""
@@ -183,6 +88,7 @@ class ExpectedEdges(NamedTuple):
             self.probability[chosen],
             self.change[chosen],
             self.merged[chosen],
+            self.before[chosen],
         )
 
 
@@ -209,12 +115,12 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
     shade, window, (R, t) = shown.shade, shown.window, shown.pose
     rows, columns = patch.image.shape
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
-    sample, merged, count = np.empty(most, np.int64), np.zeros(most, np.bool_), 0
+    sample, count = np.empty(most, np.int64), 0
+    merged, before = np.zeros(most, np.bool_), np.zeros(most, np.bool_)
     place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
     taken = np.zeros((rows, columns, DIRECTIONS), np.bool_)
     gain = patch.typical / shown.typical if most else 1.0
-    least = LEAST_RATIO * patch.least
-    faintest = least / gain
+    least, faintest = LEAST_RATIO * patch.least, LEAST_RATIO * patch.least / gain
     sensor = in_target(R, -t[0], -t[1], -t[2])
     for n in range(most):
         spread = seen_spread(edges, n, sensor)
@@ -240,8 +146,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         profile = Profile(u - window.column, v - window.row, across, down)
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(shown.fitted, profile, least)
-        sample[count] = n
-        place[count] = shift if abs(shift) > ALIASED_PX else 0.0
+        before[count] = is_before_bright(patch, shown, Profile(u, v, across, down))
+        sample[count], place[count] = n, shift if abs(shift) > ALIASED_PX else 0.0
         contrast[count] = gain * change if change else least
         probability[count] = shown_probability(contrast[count], spread, patch) if change else 0.0
         merged[count] = not fitted_change and steepest(shown.fitted, profile, MERGED_PX, least).change > 0.0
@@ -253,6 +159,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         probability[:count],
         contrast[:count],
         merged[:count],
+        before[:count],
     )
 
 
@@ -268,6 +175,31 @@ def own_change(shade: Float32Array, profile: Profile, least: float) -> tuple[flo
     found = steepest(shade, profile, OWN_PX, least)
     own = found.change > 0.0 and abs(found.place) <= OWN_PX
     return (found.change, found.place) if own else (0.0, 0.0)
+
+
+@inner_kernel
+def is_before_bright(patch: Patch, shown: Shown, profile: Profile) -> bool:
+    """Return whether the target ends at an edge, and the image is bright beyond it.
+
+    Args:
+        patch: the image.
+        shown: the target rendered on the patch's pixels.
+        profile: line across the edge, in the patch.
+    """
+    if not patch.unranged.size:
+        return False
+    rows, columns = patch.image.shape
+    for side in (-1.0, 1.0):
+        u = profile.column + side * BEYOND_PX * profile.across
+        v = profile.row + side * BEYOND_PX * profile.down
+        if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):
+            continue
+        n = shown.per_px
+        if np.isfinite(shown.range_m[int(n * (v + 0.5)), int(n * (u + 0.5))]):
+            continue
+        if patch.unranged[int(v + 0.5), int(u + 0.5)] and bilinear(patch.image, u, v) > patch.least:
+            return True
+    return False
 
 
 @kernel
@@ -328,8 +260,8 @@ class Sights:
 
     def blank(self, pose: PoseArrays) -> EdgeSight:
         """Return a sight without edges at a pose, for uses that need only the depth; nothing is rendered."""
-        none, frame = np.empty(0), self._frame
-        expected = ExpectedEdges(pose, np.empty(0, np.int64), none, none, none, np.empty(0, np.bool_))
+        none, no, frame = np.empty(0), np.empty(0, np.bool_), self._frame
+        expected = ExpectedEdges(pose, np.empty(0, np.int64), none, none, none, no, no)
         return EdgeSight(self._edges, frame.lens, frame.patch, expected)
 
 
@@ -359,27 +291,3 @@ def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, floa
         if a * towards[0] + b * towards[1] + c * towards[2] > 0.0:
             spread = max(spread, edges.spreads[sample, side])
     return spread
-
-
-@kernel
-def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
-    """Return the brightness of each triangle at a pose, shape (T + 1,); the last one, index -1, is the sky.
-
-    It follows Lambert's law with light from the camera: albedo times cosine of incidence over squared range,
-    at the centre of each triangle. Within a triangle it changes slowly and causes no edges.
-
-    Args:
-        appearance: T triangles.
-        pose: pose of the target.
-    """
-    light = np.zeros(len(appearance.albedo) + 1, np.float32)
-    sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
-    for k in range(len(appearance.albedo)):
-        corners, normal = appearance.triangles_m[k], appearance.normals[k]
-        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
-        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
-        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
-        squares = x * x + y * y + z * z
-        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
-        light[k] = appearance.albedo[k] * cosine / squares
-    return light

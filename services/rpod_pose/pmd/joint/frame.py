@@ -348,7 +348,8 @@ def _patch(
     mixed = NOT_SATURATED
     if saturated is not None:
         mixed = _widened(saturated, math.ceil(MIXED_BLURS * config.blur_px)).view(np.uint8)
-    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical, mixed)
+    unranged = (~(frame.depth_m[around] > 0.0)).view(np.uint8)
+    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical, mixed, unranged)
 
 
 def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:

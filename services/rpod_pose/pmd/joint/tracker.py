@@ -39,9 +39,10 @@ from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
-from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, Sights
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
+from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays

@@ -16,6 +16,7 @@ from rpod_pose.pmd.joint.brightness_fit import (
     squares_of,
 )
 from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.joint.patch_renderer import brightness_behind
 from rpod_pose.pmd.rendering import SKY_PX, window_of
 
 ROWS, COLUMNS, TRIANGLES = 9, 11, 6
@@ -115,3 +116,27 @@ def test_a_pose_that_hides_more_of_a_bright_wall_is_not_likelier(wall: float) ->
     assert right < 1.0
     assert right < wider
     assert right < beside
+
+
+def test_what_the_target_leaves_free_of_a_pixel_is_the_share_of_rays_that_meet_nothing() -> None:
+    """A pixel in which two faces meet shows nothing of what is behind; it was taken for half free."""
+    triangle = np.full((80, 80), -1, np.int32)
+    triangle[20:60, 21:41], triangle[20:60, 41:60] = 0, 1
+    mixture = mixture_of(triangle, 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
+    row, column = 20 - mixture.window.row, 10 - mixture.window.column
+    np.testing.assert_array_equal(mixture.free[row, column - 1 : column + 2], [1.0, 0.5, 0.0])
+    assert mixture.alone[row, column + 10] == -1
+    assert mixture.free[row, column + 10] == 0.0
+
+
+def test_a_bright_wall_changes_no_place_within_the_target() -> None:
+    triangle = np.full((80, 80), -1, np.int32)
+    triangle[20:60, 20:41], triangle[20:60, 41:60] = 0, 1
+    mixture = mixture_of(triangle, 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
+    patch = Patch(np.full((40, 40), 0.6, np.float32), 0.0, 0.0, 0.1, 0.02, 1.0)
+    behind = brightness_behind(patch, mixture, 1.0)
+    assert behind is not None
+    inside = behind[20 - mixture.window.row, 15 - mixture.window.column : 25 - mixture.window.column]
+    assert inside.max() < 1e-3
+    assert behind[0, 0] == pytest.approx(0.6, rel=1e-3)
+    assert brightness_behind(patch._replace(image=np.full_like(patch.image, 0.04)), mixture, 1.0) is None

@@ -7,15 +7,15 @@ from tests.pmd_frames import CAMERA
 
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.edge_model import EdgeModel
-from rpod_pose.pmd.joint.edge_search import Lens, Patch
+from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import (
     ExpectedEdges,
-    PatchRenderer,
     add_in_place,
     expect_edges,
     shown_probability,
 )
 from rpod_pose.pmd.joint.frame import moved_px
+from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.poses import make_pose
@@ -24,6 +24,7 @@ from rpod_target import Target, load_target
 LENS = Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
 HEXAGON = load_target("hexagonal-body")
 AHEAD = make_pose(translation_m=(0.0, 0.0, 4.0))
+DARK = np.zeros((CAMERA.height, CAMERA.width), np.float32)
 
 
 def expected(
@@ -33,11 +34,12 @@ def expected(
     hider: Target | None = None,
     noise: float = 0.5,
     per_px: int = 2,
+    image: np.ndarray = DARK,
+    unranged: np.ndarray = NOT_SATURATED,
 ) -> tuple[EdgeModel, ExpectedEdges]:
     """Return a target's edges, and those expected at a pose behind another body."""
     model = EdgeModel.of(target, spacing_m=0.02)
-    image = np.zeros((CAMERA.height, CAMERA.width), np.float32)
-    patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0)
+    patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0, unranged=unranged)
     renderer = PatchRenderer(target if hider is None else hider, JointEdgeConfig())
     shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T), patch)
     assert shown.shade.shape == shown.fitted.shape == shown.window[2:]
@@ -109,6 +111,18 @@ def test_what_the_rendering_does_not_show_is_not_expected() -> None:
     shares = [np.mean(expected(HEXAGON, hider=shown)[1].probability == 0.0) for shown in (HEXAGON, beside)]
     assert shares[0] < 0.2
     assert shares[1] > 0.5
+
+
+def test_the_outline_before_something_bright_is_known_where_that_has_no_range() -> None:
+    bright, none = np.full_like(DARK, 40.0), np.ones(DARK.shape, np.uint8)
+    _, seen = expected(HEXAGON, image=bright, unranged=none)
+    assert 0.3 < seen.before.mean() < 1.0
+    half = none.copy()
+    half[:, : CAMERA.width // 2] = 0
+    fewer = expected(HEXAGON, image=bright, unranged=half)[1].before
+    assert 0.3 * seen.before.sum() < fewer.sum() < 0.7 * seen.before.sum()
+    for image, unranged in ((DARK, none), (bright, 0 * none), (bright, NOT_SATURATED)):
+        assert not expected(HEXAGON, image=image, unranged=unranged)[1].before.any()
 
 
 def test_a_missing_edge_counts_by_what_it_tells() -> None:

@@ -23,9 +23,10 @@ from rpod_pose.pmd.joint.edge_points import (
     add_edge_points,
 )
 from rpod_pose.pmd.joint.edge_search import CoarsePixels
-from rpod_pose.pmd.joint.expected_edges import EdgeSight, PatchRenderer, expect_edges
+from rpod_pose.pmd.joint.expected_edges import EdgeSight, expect_edges
 from rpod_pose.pmd.joint.fit import DepthErrors, _shares
 from rpod_pose.pmd.joint.frame import JointFrame, _around
+from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.methods import ideal_frames
 from rpod_pose.ports import Registration
@@ -69,6 +70,13 @@ def frame(
 
 
 FRAME = frame()
+
+
+def nees_of(found: Registration, truth: RigidTransform) -> float:
+    assert found.T_sensor_target is not None
+    turn = (found.T_sensor_target.rotation * truth.rotation.inv()).as_rotvec()
+    e = np.concatenate((found.T_sensor_target.translation - truth.translation, turn))
+    return float(e @ np.linalg.solve(found.covariance, e))
 
 
 def off(T: RigidTransform, deg: float, m: float, seed: int = 0) -> RigidTransform:
@@ -324,11 +332,7 @@ def test_from_a_good_prediction_the_covariance_is_as_large_as_the_errors() -> No
         body = built(MOCKUP, World(cad_error_m=0.001), np.random.default_rng(number))
         seen = frame(T, number=number, config=left, target=body)
         registration = tracker.track(seen, off(T, 0.3, 0.003, number))
-        found = registration.T_sensor_target
-        assert found is not None
-        turn = (found.rotation * T.rotation.inv()).as_rotvec()
-        e = np.concatenate((found.translation - T.translation, turn))
-        nees.append(e @ np.linalg.solve(registration.covariance, e))
+        nees.append(nees_of(registration, T))
     least, most = chi2.ppf((0.005, 0.995), 6 * len(nees)) / len(nees)  # of the mean of independent ones
     assert least < np.mean(nees) < most
 
@@ -395,3 +399,32 @@ def test_what_contradicts_a_pose_is_told_though_another_start_gave_none(
     monkeypatch.setattr(JointTracker, "_registered", lambda *_: next(told))
     monkeypatch.setattr(JointTracker, "_moved_along_sight", lambda *_: None)
     assert TRACKER.track(FRAME, off(TRUTH, 4.0, 0.05)).T_sensor_target is not None
+
+
+@pytest.mark.parametrize(("turned", "wall", "phase_rad"), [(1, 40.0, 2.5), (2, 40.0, 3.14), (2, 70.0, 2.5)])
+def test_a_bright_wall_without_ranges_moves_no_pose_by_more_than_is_stated(
+    turned: int, wall: float, phase_rad: float
+) -> None:
+    """A pixel at the outline adds phasors of target and wall. The NEES was 101 to 348."""
+    camera = Camera(width=176, height=144, fx=190.0, fy=190.0, cx=87.5, cy=71.5)
+    fine = Camera(width=528, height=432, fx=570.0, fy=570.0, cx=263.5, cy=215.5)
+    attitude = Rotation.from_euler("ZYX", (8.0 + 40.0 * turned, -12.0 + 20.0 * turned, 25.0), degrees=True)
+    truth = make_pose(rotation=FACING * attitude, translation_m=(0.1, -0.05, 3.5))
+    rays, random = RayGrid.pinhole(fine), np.random.default_rng(turned)
+    hits = cast(rays, HEXAGON.triangles_m, truth)
+    seen, normals = np.isfinite(hits.range_m), HEXAGON.normals[np.maximum(hits.triangle, 0)]
+    cosine = np.abs((normals * (rays.directions @ truth.rotation.as_matrix())).sum(axis=-1))
+
+    def binned(image: np.ndarray) -> np.ndarray:
+        return image.reshape(camera.height, 3, camera.width, 3).mean(axis=(1, 3))
+
+    phasors = binned(np.where(seen, 100.0 * cosine, wall * np.exp(1j * phase_rad)))
+    coarse = RayGrid.pinhole(camera)
+    depth_m = cast(coarse, HEXAGON.triangles_m, truth).range_m * coarse.components[2]
+    depth_m = np.where(binned(seen) > 0.9, depth_m + random.normal(0.0, 0.004, depth_m.shape), np.nan)
+    amplitude = np.abs(phasors) + np.abs(random.normal(0.0, 0.7, depth_m.shape))
+    found = JointTracker(JointConfig(), HEXAGON).track(
+        frame_of(depth_m, amplitude=amplitude.astype(np.float32), camera=camera), off(truth, 1.0, 0.03)
+    )
+    assert found.belief.continues_track
+    assert nees_of(found, truth) < 20.0

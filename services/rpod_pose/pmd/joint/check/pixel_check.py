@@ -15,9 +15,9 @@ from scipy.constants import speed_of_light
 from rpod_geometry.rays import RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.check.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.check.reflections import reflected_m
-from rpod_pose.pmd.joint.expected_edges import PatchRenderer
 from rpod_pose.pmd.joint.fit import Measured, agreement
 from rpod_pose.pmd.joint.frame import JointFrame
+from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray

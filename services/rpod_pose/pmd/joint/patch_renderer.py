@@ -1,0 +1,158 @@
+"""The target rendered on the pixels of an image, as bright as its file says and as the image says."""
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from rpod_geometry.kernels import kernel
+from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.amplitude_noise import sky_of
+from rpod_pose.pmd.joint.brightness_fit import (
+    Mixture,
+    faintest,
+    fitted,
+    misfit,
+    mixture_of,
+    rendered_by_file,
+)
+from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.rendering import Window
+from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
+from rpod_pose.registration.lie_group import PoseArrays, in_target
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.joint import JointEdgeConfig
+from rpod_schemas.types import Float32Array
+from rpod_target import Target
+
+
+class Appearance(NamedTuple):
+    """Shape and albedo of the target for its rendering."""
+
+    triangles_m: FloatArray
+    """Corners, target axes, shape (T, 3, 3)."""
+    normals: FloatArray
+    """Outward unit normals, target axes, shape (T, 3)."""
+    albedo: FloatArray
+    """Median albedo of each triangle's class, shape (T,)."""
+    radius_m: float
+    """Radius of the bounding sphere about the origin."""
+
+    @classmethod
+    def of(cls, target: Target) -> "Appearance":
+        """Return the appearance of a target."""
+        triangles_m, normals = (np.ascontiguousarray(part) for part in (target.triangles_m, target.normals))
+        return cls(triangles_m, normals, albedos(target), target.radius_m)
+
+
+class Shown(NamedTuple):
+    """A rendering of the target at a pose on the pixels of the patch."""
+
+    pose: PoseArrays
+    range_m: Float32Array
+    """Range along each ray, shape (per_px * rows, per_px * columns); inf if it hits nothing."""
+    per_px: int
+    """Number of rays for each pixel, along rows and columns."""
+    window: Window
+    """The pixels around the target."""
+    shade: Float32Array
+    """Smoothed brightness with the materials of the file, on the pixels of the window."""
+    typical: float
+    """Median brightness before smoothing; 0 if nothing is in view."""
+    fitted: Float32Array
+    """Smoothed brightness, with that of each surface fitted to the image and in its units; same pixels."""
+
+
+class PatchRenderer:
+    """Renders the target on the pixels of a patch.
+
+    Args:
+        target: the target.
+        config: how the image is clipped and smoothed, which applies to the rendering too.
+    """
+
+    def __init__(self, target: Target, config: JointEdgeConfig) -> None:
+        self._appearance, self._config = Appearance.of(target), config
+        self._faces, self._surfaces = faces_of(target), surfaces_of(target)
+        self._room = np.empty((2, 0), np.float32)
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the target's bounding sphere about its origin."""
+        return self._appearance.radius_m
+
+    def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
+        """Return the first hits of a patch's rays at a pose; the next call overwrites them."""
+        rows, columns = rays.components.shape[1:]
+        if self._room.shape[1] < rows * columns:
+            self._room = np.empty((2, rows * columns), np.float32)
+        range_m, triangle = (line[: rows * columns].reshape(rows, columns) for line in self._room)
+        hits = RenderBuffers(range_m, triangle.view(np.int32))
+        cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
+        return hits
+
+    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
+        """Return a rendering of the target at a pose; the next call overwrites its ranges.
+
+        Args:
+            rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
+            per_px: number of rays for each pixel, along rows and columns.
+            pose: pose of the target.
+            patch: the image.
+        """
+        hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
+        mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
+        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
+        shade, typical = by_file
+        as_seen = typical > 0.0 and patch.typical > 0.0
+        fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade
+        if as_seen and (behind := brightness_behind(patch, mixture, blur_px)) is not None:
+            shade, fit = shade + behind * np.float32(typical / patch.typical), fit + behind
+        return Shown(pose, hits.range_m, per_px, mixture.window, shade, typical, fit)
+
+    def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
+        """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
+
+        Arguments as for ``render``.
+        """
+        triangle, light = self.cast(rays, pose).triangle, light_of(self._appearance, pose)
+        mixture = mixture_of(triangle, per_px, light, self._faces)
+        return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+
+
+def brightness_behind(patch: Patch, mixture: Mixture, blur_px: float) -> Float32Array | None:
+    """Return the brightness that the thing behind the target adds to the pixels of the window, smoothed.
+
+    None where it is as dark as differences that are no change of the image.
+    """
+    sky = sky_of(patch, mixture.free, mixture.window)
+    if not sky > faintest(patch):
+        return None
+    behind = np.float32(sky) * mixture.free
+    cv2.GaussianBlur(behind, (0, 0), blur_px, dst=behind)
+    return behind
+
+
+@kernel
+def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
+    """Return the brightness of each triangle at a pose, shape (T + 1,); the last one, index -1, is the sky.
+
+    It follows Lambert's law with light from the camera: albedo times cosine of incidence over squared range,
+    at the centre of each triangle. Within a triangle it changes slowly and causes no edges.
+
+    Args:
+        appearance: T triangles.
+        pose: pose of the target.
+    """
+    light = np.zeros(len(appearance.albedo) + 1, np.float32)
+    sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
+    for k in range(len(appearance.albedo)):
+        corners, normal = appearance.triangles_m[k], appearance.normals[k]
+        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
+        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
+        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
+        squares = x * x + y * y + z * z
+        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
+        light[k] = appearance.albedo[k] * cosine / squares
+    return light
