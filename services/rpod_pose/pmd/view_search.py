@@ -145,7 +145,7 @@ class ViewSearch:
             attitudes = attitudes_of(tuning.near_attitudes)
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
         task, poses, failed = _Task(measurement, scene, attitudes, around), list[Pose](), None
-        for known_materials in (True, False):
+        for known_materials in (True, False) if scene.outlined else (True,):  # both are one by depth alone
             fitter = PmdFitter(tuning.model, self._model.shown, scene, known_materials=known_materials)
             search = FrameSearch(tuning, self._model, scene, fitter, partial(self._possible, measurement))
             poses = search.search(attitudes, around, poses)

@@ -12,7 +12,7 @@ from rpod_geometry.rays import RayGrid
 from rpod_pose.belief import Belief, contradicted, doubtful
 from rpod_pose.pmd import view_search
 from rpod_pose.pmd.fit import PmdFit, PmdFitter
-from rpod_pose.pmd.frame_search import Pose
+from rpod_pose.pmd.frame_search import FrameSearch, Pose
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.scene import scene_of
 from rpod_pose.pmd.view_search import ViewSearch, _Aligned, _Task
@@ -348,6 +348,18 @@ def test_a_frame_without_amplitude_does():
     T = make_pose(rotation=OBLIQUE.rotation, translation_m=(0.0, 0.1, 3.5))
     result = searching("mockup").acquire(depth_frame(target("mockup"), T, noise_m=0.01))
     assert_right(T, result.pose)
+
+
+def test_a_frame_without_amplitude_is_searched_once(monkeypatch):
+    """Materials matter for an amplitude alone; a search that failed was made again, the same."""
+    searches = []
+    monkeypatch.setattr(FrameSearch, "search", lambda *_: searches.append(1) or [])
+    frame = depth_frame(target("mockup"), OBLIQUE)
+    assert searching("mockup").near(frame, OBLIQUE).outcome is Outcome.FAILED
+    assert len(searches) == 1
+    lit = frame.model_copy(update={"amplitude": np.full(frame.depth_m.shape, 100, np.uint16)})
+    assert searching("mockup").near(lit, OBLIQUE).outcome is Outcome.FAILED
+    assert len(searches) == 3
 
 
 def test_a_wide_start_ends_at_the_pose():
