@@ -20,6 +20,9 @@ MEMORY_FRAMES, PRIOR_FRAMES = 90.0, 20.0
 Hand: at 45 Hz a record remembers two seconds; the prior weighs less than half a second."""
 SYMMETRY = "symmetry of the target"
 """Name of a rival that is the best pose turned by an exact symmetry of the target."""
+AMPLITUDE_LEFT_OUT = "amplitude_left_out"
+"""Name of the evidence (1) that a camera's amplitude was left out: what is behind the target is bright and
+has no range."""
 
 
 @dataclass(frozen=True, eq=False)

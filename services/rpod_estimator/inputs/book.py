@@ -140,6 +140,10 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
+    def leave_out(self, now_s: float, text: str) -> None:
+        """Note why a part of a frame that was used is not."""
+        self._unused.append((now_s, text))
+
     def drop(self, now_s: float) -> None:
         """Note a frame that was not processed, because newer ones arrived while the estimator worked."""
         self._dropped_s.append(now_s)

@@ -18,6 +18,7 @@ from rpod_estimator.inputs.book import (
     unused,
 )
 from rpod_estimator.inputs.refusals import Refusals
+from rpod_pose.belief import AMPLITUDE_LEFT_OUT
 from rpod_pose.navigation.state import Cause, Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
@@ -32,6 +33,11 @@ log = logging.getLogger(__name__)
 
 REMIND_S = 60.0
 """Time after which a state that is not OK is written to the log again."""
+_BRIGHT_BEYOND = (
+    "its amplitude is not used, poses come from depth alone: what has no range is as bright as the target; "
+    "let the driver publish the ranges of what is behind the target, cover it, or leave the amplitude out of "
+    "source.topics"
+)
 _PERIOD_S = 1.0
 """Time between two updates of the diagnostics."""
 
@@ -85,6 +91,8 @@ class InputHealth:
         book.note("hint", arrived.hint)
         if status.accepted:
             book.use(now_s, output.weak_support)
+            if AMPLITUDE_LEFT_OUT in status.evidence:
+                book.leave_out(now_s, _BRIGHT_BEYOND)
         else:
             kind = SEARCHING if output.cause is Cause.SLOW_SEARCH else REJECTED
             book.lose(Loss(arrived.refused or kind, output.why), now_s)

@@ -44,6 +44,7 @@ from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
+from rpod_pose.pmd.joint.check.bright_beyond import is_any, or_by_depth
 from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.ports import Acquisition, ComparingTracker, Outcome, Registration, WholeFrameTracker
@@ -124,11 +125,12 @@ class ViewSearch:
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
         """Return the pose that explains the frame best, with its belief and its rivals."""
-        return self._found(measurement, None)
+        return or_by_depth(partial(self._found, around=None), measurement, is_any)[0]
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
-        return self._found(measurement, T_sensor_target.rotation.as_matrix())
+        around = T_sensor_target.rotation.as_matrix()
+        return or_by_depth(partial(self._found, around=around), measurement, is_any)[0]
 
     def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a frame at registered poses, shape (N,): ports.Likelihoods."""
@@ -139,12 +141,10 @@ class ViewSearch:
         scene = scene_of(measurement, tuning.scene, radius_m=self._model.target.radius_m)
         if isinstance(scene, str):
             return Acquisition(Registration.none(Source.NONE, scene))
-        if around is None:
-            attitudes = attitudes_of(self._config.tuning.attitudes)
-        else:
-            attitudes = attitudes_of(tuning.near_attitudes)
+        attitudes = attitudes_of(tuning.attitudes if around is None else tuning.near_attitudes)
+        if around is not None:
             attitudes = attitudes[within(attitudes, around, tuning.near_deg)]
-        task, poses, failed = _Task(measurement, scene, attitudes, around), list[Pose](), None
+        task, poses, failed = _Task(measurement, scene, attitudes, around), list[Pose](), list[Acquisition]()
         for known_materials in (True, False) if scene.outlined else (True,):  # both are one by depth alone
             fitter = PmdFitter(tuning.model, self._model.shown, scene, known_materials=known_materials)
             search = FrameSearch(tuning, self._model, scene, fitter, partial(self._possible, measurement))
@@ -152,9 +152,8 @@ class ViewSearch:
             found = self._verified(task, search, fitter, poses, known_materials=known_materials)
             if found.outcome is not Outcome.FAILED:
                 return found
-            failed = failed or found
-        assert failed is not None  # noqa: S101 - the loop has run
-        return failed
+            failed.append(found)
+        return failed[0]
 
     def _verified(
         self,

@@ -15,6 +15,7 @@ source of the pose names it.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from math import hypot, inf, radians
 from typing import NamedTuple
 
@@ -34,6 +35,7 @@ from rpod_pose.pmd.joint.alternatives import (
 )
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.check.belief import by_distances, edges_in_place, frame_belief, source_of
+from rpod_pose.pmd.joint.check.bright_beyond import marked, or_by_depth
 from rpod_pose.pmd.joint.check.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
@@ -131,6 +133,11 @@ class JointTracker:
 
     def track(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
+        tracked = partial(self._tracked, T_sensor_target=T_sensor_target)
+        found, by_depth = or_by_depth(tracked, measurement, lambda found: found.continues_track)
+        return marked(found) if by_depth else found
+
+    def _tracked(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         pose = PoseArrays.of(T_sensor_target)
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str):
@@ -140,9 +147,8 @@ class JointTracker:
         for start, schedule in self._starts(seen, sights.at(pose)):
             aligned = self._aligned(seen, sights, start, schedule)
             tried.append(_Tried(aligned, self._registered(seen, sights, aligned, len(schedule))))
-            moved = None
-            if not tried[-1].found.begins_track:
-                moved = self._moved_along_sight(seen, sights, State(aligned.fit.state.pose, 0.0))
+            ends = State(aligned.fit.state.pose, 0.0)
+            moved = None if tried[-1].found.begins_track else self._moved_along_sight(seen, sights, ends)
             if moved is not None:
                 aligned = self._aligned(seen, sights, moved, self._near)
                 steps = len(schedule) + len(self._near)
@@ -151,9 +157,8 @@ class JointTracker:
                 best = max(believed, key=lambda each: each.found.begins_track)
                 return self._likeliest(seen, sights, pose, best)
         posed = [each.found for each in tried if each.found.T_sensor_target is not None]
-        if not posed:
-            return tried[0].found if tried else self._nothing
-        return max(posed, key=lambda each: each.explained_share)
+        nothing = tried[0].found if tried else self._nothing
+        return max(posed, key=lambda each: each.explained_share, default=nothing)
 
     def log_likelihoods(
         self, measurement: PmdFrame, found: Sequence[Registration], *, ranked_only: bool = False

@@ -11,6 +11,7 @@ from tests.pmd_frames import frame_of, strange_frames
 
 from rpod_campaign.pmd.world import World, built
 from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.belief import AMPLITUDE_LEFT_OUT
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.depth_points import CoarseRanges, DepthImages, coarse_ranges
 from rpod_pose.pmd.joint.edge_model import EdgeModel
@@ -401,11 +402,8 @@ def test_what_contradicts_a_pose_is_told_though_another_start_gave_none(
     assert TRACKER.track(FRAME, off(TRUTH, 4.0, 0.05)).T_sensor_target is not None
 
 
-@pytest.mark.parametrize(("turned", "wall", "phase_rad"), [(1, 40.0, 2.5), (2, 40.0, 3.14), (2, 70.0, 2.5)])
-def test_a_bright_wall_without_ranges_moves_no_pose_by_more_than_is_stated(
-    turned: int, wall: float, phase_rad: float
-) -> None:
-    """A pixel at the outline adds phasors of target and wall. The NEES was 101 to 348."""
+def before_a_wall(turned: int, wall: float, phase_rad: float) -> tuple[PmdFrame, RigidTransform]:
+    """Return a frame of the hexagonal body before a wall without ranges, and the pose."""
     camera = Camera(width=176, height=144, fx=190.0, fy=190.0, cx=87.5, cy=71.5)
     fine = Camera(width=528, height=432, fx=570.0, fy=570.0, cx=263.5, cy=215.5)
     attitude = Rotation.from_euler("ZYX", (8.0 + 40.0 * turned, -12.0 + 20.0 * turned, 25.0), degrees=True)
@@ -423,8 +421,28 @@ def test_a_bright_wall_without_ranges_moves_no_pose_by_more_than_is_stated(
     depth_m = cast(coarse, HEXAGON.triangles_m, truth).range_m * coarse.components[2]
     depth_m = np.where(binned(seen) > 0.9, depth_m + random.normal(0.0, 0.004, depth_m.shape), np.nan)
     amplitude = np.abs(phasors) + np.abs(random.normal(0.0, 0.7, depth_m.shape))
-    found = JointTracker(JointConfig(), HEXAGON).track(
-        frame_of(depth_m, amplitude=amplitude.astype(np.float32), camera=camera), off(truth, 1.0, 0.03)
-    )
+    return frame_of(depth_m, amplitude=amplitude.astype(np.float32), camera=camera), truth
+
+
+@pytest.mark.parametrize(("turned", "wall", "phase_rad"), [(1, 40.0, 2.5), (2, 40.0, 3.14), (2, 70.0, 2.5)])
+def test_a_bright_wall_without_ranges_moves_no_pose_by_more_than_is_stated(
+    turned: int, wall: float, phase_rad: float
+) -> None:
+    """A pixel at the outline adds phasors of target and wall. The NEES was 101 to 348."""
+    seen, truth = before_a_wall(turned, wall, phase_rad)
+    found = JointTracker(JointConfig(), HEXAGON).track(seen, off(truth, 1.0, 0.03))
     assert found.belief.continues_track
+    assert found.source is Source.PMD_JOINT
     assert nees_of(found, truth) < 20.0
+
+
+def test_before_a_wall_as_bright_as_the_target_the_depth_alone_measures_the_pose() -> None:
+    """Each pixel of the wall contradicts every pose, where the amplitude counts."""
+    seen, truth = before_a_wall(1, 200.0, 2.5)
+    found = JointTracker(JointConfig(), HEXAGON).track(seen, off(truth, 1.0, 0.03))
+    assert found.belief.continues_track
+    assert found.source is Source.PMD_DEPTH
+    assert AMPLITUDE_LEFT_OUT in found.belief.evidence
+    assert nees_of(found, truth) < 20.0
+    elsewhere = JointTracker(JointConfig(), HEXAGON).track(seen, off(truth, 60.0, 0.03))
+    assert not elsewhere.belief.continues_track
