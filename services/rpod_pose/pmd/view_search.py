@@ -44,7 +44,6 @@ from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
 from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
-from rpod_pose.pmd.joint.check.bright_beyond import is_any, or_by_depth
 from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
 from rpod_pose.ports import Acquisition, ComparingTracker, Outcome, Registration, WholeFrameTracker
@@ -125,12 +124,11 @@ class ViewSearch:
 
     def acquire(self, measurement: PmdFrame) -> Acquisition:
         """Return the pose that explains the frame best, with its belief and its rivals."""
-        return or_by_depth(partial(self._found, around=None), measurement, is_any)[0]
+        return self._found(measurement, None)
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the best pose among the attitudes within ``near_deg`` of a given one, at any position."""
-        around = T_sensor_target.rotation.as_matrix()
-        return or_by_depth(partial(self._found, around=around), measurement, is_any)[0]
+        return self._found(measurement, T_sensor_target.rotation.as_matrix())
 
     def log_likelihoods(self, measurement: PmdFrame, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a frame at registered poses, shape (N,): ports.Likelihoods."""

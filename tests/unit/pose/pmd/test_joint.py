@@ -443,6 +443,8 @@ def test_before_a_wall_as_bright_as_the_target_the_depth_alone_measures_the_pose
     assert found.belief.continues_track
     assert found.source is Source.PMD_DEPTH
     assert AMPLITUDE_LEFT_OUT in found.belief.evidence
+    assert not found.begins_track
+    assert "leave the amplitude out" in found.belief.refusal
     assert nees_of(found, truth) < 20.0
     elsewhere = JointTracker(JointConfig(), HEXAGON).track(seen, off(truth, 60.0, 0.03))
     assert not elsewhere.belief.continues_track

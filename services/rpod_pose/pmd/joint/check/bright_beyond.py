@@ -12,11 +12,15 @@ import numpy as np
 
 from rpod_pose.belief import AMPLITUDE_LEFT_OUT
 from rpod_pose.pmd.joint.check.frame_check import BRIGHT
-from rpod_pose.ports import Acquisition, Outcome, Registration
+from rpod_pose.ports import Registration
 from rpod_schemas.types import PmdFrame
 
 SPARSE = 4
 """Distance between the pixels that are looked at, along rows and columns. Numerics: a budget."""
+_LEFT_OUT = (
+    "its depth alone agrees with a pose: what has no range is as bright as the target; let the driver "
+    "publish the ranges of what is behind the target, cover it, or leave the amplitude out of source.topics"
+)
 _Found = TypeVar("_Found")
 
 
@@ -35,14 +39,9 @@ def or_by_depth(
 
 
 def marked(found: Registration) -> Registration:
-    """Return a registration whose evidence says that the amplitude was left out."""
+    """Return a registration whose belief says that the amplitude was left out: it begins no track."""
     evidence = {**found.belief.evidence, AMPLITUDE_LEFT_OUT: 1.0}
-    return replace(found, belief=replace(found.belief, evidence=evidence))
-
-
-def is_any(found: Acquisition) -> bool:
-    """Return whether a search has found a pose, or several."""
-    return found.outcome is not Outcome.FAILED
+    return replace(found, belief=replace(found.belief, evidence=evidence, insufficient=_LEFT_OUT))
 
 
 def is_bright_beyond(frame: PmdFrame) -> bool:
