@@ -223,7 +223,7 @@ class Authority:
     def _hand_out(
         self, identity: Identity, certificate: x509.Certificate, key: bytes, hosts: tuple[str, ...]
     ) -> Path:
-        """Note a certificate in the ledger and write the folder; without a key the owner adds his."""
+        """Note a certificate in the ledger and write the folder; without a key, its owner adds one."""
         folder = self.folder / identity.name
         self._keep(
             Entry(

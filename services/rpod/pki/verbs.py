@@ -85,7 +85,7 @@ def sign(
     ] = False,
     folder: FolderOption = _FOLDER,
 ) -> None:
-    """Issue a certificate for a key of another host, or renew it. It tells name and role."""
+    """Issue a certificate for a key of another host, or renew it. The request states name and role."""
     from rpod.pki.command import sign_command
 
     raise typer.Exit(sign_command(folder, request, hosts=host or (), days=days, renews=renew))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
@@ -155,7 +155,7 @@ def _pmd(target: Target) -> Callable[[RigidTransform, int], Frame]:
         if not lit.any():
             return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
         spread_m = np.abs(first[lit] - second[lit]) / np.sqrt(2.0)
-        sigma_m = float(np.median(spread_m)) / 0.6745  # of a normal distribution
+        sigma_m = MAD_TO_SIGMA * float(np.median(spread_m))
         places_m = range_m[lit][:, None] * grid.directions[lit]
         return places_m, normals[lit], np.full(len(places_m), max(sigma_m, 1e-6))
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_geometry.rays import RayGrid, cast
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.poses import make_pose
@@ -165,7 +165,7 @@ def _pmd(target: Target) -> _Sensor:
 
 def _spread(values: FloatArray) -> float:
     """Return the standard deviation of values about their median, by their median distance from it."""
-    return float(np.median(np.abs(values - np.median(values)))) / 0.6745  # of a normal distribution
+    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def _conditions(kind: str, target: Target) -> Iterator[tuple[int, Condition, EmulatedKind]]:

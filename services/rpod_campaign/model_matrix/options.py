@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from rpod_campaign.engine.options import Names, Provided, Trials, Worlds
-from rpod_campaign.engine.options import Options as EveryOptions
+from rpod_campaign.engine.options import Options as CampaignOptions
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 
@@ -22,7 +22,7 @@ VARIATIONS = (
 """Variations of each target that are tried by default."""
 
 
-class Options(EveryOptions):
+class Options(CampaignOptions):
     """Targets that differ from their models."""
 
     title: ClassVar[str] = "Targets that differ from their models"

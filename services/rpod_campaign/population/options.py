@@ -5,13 +5,13 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from rpod_campaign.engine.options import Model, Provided, Surroundings, Trials, Worlds
-from rpod_campaign.engine.options import Options as EveryOptions
+from rpod_campaign.engine.options import Options as CampaignOptions
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 from rpod_target.population.names import PopulationName
 
 
-class Options(EveryOptions):
+class Options(CampaignOptions):
     """Acquisition and tracking of random satellites."""
 
     title: ClassVar[str] = "Acquisition and tracking of random satellites"
