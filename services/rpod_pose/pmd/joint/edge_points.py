@@ -9,13 +9,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_pose.pmd.joint.edge_search import Patch, Profile, across_edge, imaged, steepest
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
+from rpod_pose.pmd.joint.edge_search import Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
 SCALE, LAST_SCALE = 0.2, 0.13
 """Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
@@ -86,8 +88,13 @@ class EdgeEvidence(NamedTuple):
 
 
 @kernel
-def add_edge_points(
-    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, errors: EdgeErrors
+def add_edge_points(  # noqa: PLR0917
+    sums: FloatArray,
+    sight: EdgeSight,
+    pose: PoseArrays,
+    reach: float,
+    errors: EdgeErrors,
+    counted: bool = True,
 ) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
@@ -103,12 +110,16 @@ def add_edge_points(
         pose: pose to linearise at.
         reach: half length of the search, px.
         errors: assumed errors of edges.
+        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``
+            and ``shifts.every`` are 0: a fit needs them in its last step only.
     """
     edges, lens, patch, expected_edges = sight
     (R, t), places, directions = pose, edges.places_m, edges.directions
+    image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
-    of_shifts = np.zeros((3, SUMS))
+    beside, every, shift = np.zeros(SUMS), np.zeros(SUMS), np.zeros(2)
+    shifts_asked = counted or saturated.size > 0
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
@@ -125,90 +136,72 @@ def add_edge_points(
             continue
         shown = expected_edges.place[m]
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
-        place, change = steepest(patch.image, Profile(column, row, across, down), reach, patch.least)
+        place, change = steepest(image, Profile(column, row, across, down), reach, least)
         if change < 0.0:
             continue
         e2 = place * place
         checked += 1
         near = change > 0.0 and e2 < near2
         found += near
-        noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-        share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
-        expected += share
-        add_in_place(in_place, share, near)
+        noisy_px = 0.0
+        if counted:
+            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+            share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+            expected += share
+            add_in_place(in_place, share, near)
         if change == 0.0:
             continue
         gx = across * at.column_by_x + down * at.row_by_x
         gy = across * at.column_by_y + down * at.row_by_y
         kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
-        add_residual(sums, Vector(-kx, -ky, -kz), Vector(x, y, z), -place, geman_mcclure(e2, c2))
+        normal, at_m, weight = Vector(-kx, -ky, -kz), Vector(x, y, z), geman_mcclure(e2, c2)
+        add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
+            if not shifts_asked:
+                continue
             line = Profile(column, row, across, down)
-            edge = SideEdge(Vector(-kx, -ky, -kz), Vector(x, y, z), place, geman_mcclure(e2, c2))
-            shifted += add_to_shifts(of_shifts, edge, patch, line)
-    shifts = EdgeShifts(of_shifts[0], of_shifts[2, 0], of_shifts[2, 1], of_shifts[1])
+            darker = darker_side(image, line, place)
+            if counted:
+                add_residual(every, normal, at_m, darker, weight)
+            if is_beside_saturated(saturated, line, place):
+                add_residual(beside, normal, at_m, darker, weight)
+                shift[0] += weight
+                shift[1] -= weight * darker * place
+                shifted += 1
+    shifts = EdgeShifts(beside, shift[0], shift[1], every)
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
 
 
-class SideEdge(NamedTuple):
-    """An edge whose side is asked for."""
-
-    normal: Vector
-    """Normal of its residual, target axes, px/m."""
-    at: Vector
-    """Its place on the target, target axes, m."""
-    place: float
-    """Its place on the line across it, px."""
-    weight: float
-    """Weight of its residual."""
-
-
-@inner_kernel
-def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Profile) -> int:
-    """Add an edge to the sums of the shifts; return 1 if it lies beside saturated pixels, otherwise 0.
+@inlined_kernel
+def is_beside_saturated(saturated: NDArray[np.uint8], profile: Profile, place: float) -> bool:
+    """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels.
 
     Args:
-        of_shifts: rows of ``EdgeShifts``: the edges beside saturated pixels, all edges, and in the third row
-            weight and pull, shape (3, 35), input and output.
-        edge: the edge.
-        patch: the image.
-        line: line across the edge.
+        saturated: mask of the image, as in ``Patch``.
+        profile: line across the edge.
+        place: place of the edge on it, px.
     """
-    darker = darker_side(patch, line, edge.place)
-    add_residual(of_shifts[1], edge.normal, edge.at, darker, edge.weight)
-    if not is_beside_saturated(patch, line, edge.place):
-        return 0
-    add_residual(of_shifts[0], edge.normal, edge.at, darker, edge.weight)
-    of_shifts[2, 0] += edge.weight
-    of_shifts[2, 1] -= edge.weight * darker * edge.place
-    return 1
-
-
-@inner_kernel
-def is_beside_saturated(patch: Patch, profile: Profile, place: float) -> bool:
-    """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels."""
-    if not patch.saturated.size:
+    if not saturated.size:
         return False
-    column, row, across, down = profile
-    mixed: bool = patch.saturated[int(row + place * down), int(column + place * across)] > 0
-    return mixed
+    row, column = int(profile.row + place * profile.down), int(profile.column + place * profile.across)
+    return bool(saturated[row, column] > 0)
 
 
-@inner_kernel
-def darker_side(patch: Patch, profile: Profile, place: float) -> float:
+@inlined_kernel
+def darker_side(image: Float32Array, profile: Profile, place: float) -> float:
     """Return the darker side of an edge: -1 ahead, 1 behind.
 
     Args:
-        patch: the image.
+        image: the image, shape (rows, columns).
         profile: line across the edge.
         place: place of the edge on it, px.
     """
     column, row, across, down = profile
-    ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
-    behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+    ahead = image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+    behind = image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
     return -1.0 if ahead < behind else 1.0
 
 
