@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
-from rpod_pose.pmd.joint.edge_search import Profile, across_edge, imaged, steepest
+from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
@@ -114,29 +114,23 @@ def add_edge_points(  # noqa: PLR0917
             and ``shifts.every`` are 0: a fit needs them in its last step only.
     """
     edges, lens, patch, expected_edges = sight
-    (R, t), places, directions = pose, edges.places_m, edges.directions
+    R, places, directions = pose.R, edges.places_m, edges.directions
     image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
-    beside, every, shift = np.zeros(SUMS), np.zeros(SUMS), np.zeros(2)
-    shifts_asked = counted or saturated.size > 0
+    of_shifts = _ShiftSums(np.zeros(SUMS), np.zeros(SUMS), np.zeros(2))
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
         n = expected_edges.sample[m]
-        x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        px, py, pz = in_sensor(R, x, y, z)
-        px, py, pz = px + t[0], py + t[1], pz + t[2]
-        per_z = 1.0 / pz
-        sx, sy = px * per_z, py * per_z
-        at = imaged(sx, sy, lens)
-        towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
-        across, down = across_edge(at, towards, sx, sy)
+        seen = _seen_edge(places, directions, n, pose, lens)
+        at, across, down = seen.at, seen.across, seen.down
         if across == 0.0 and down == 0.0:
             continue
         shown = expected_edges.place[m]
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
-        place, change = steepest(image, Profile(column, row, across, down), reach, least)
+        line = Profile(column, row, across, down)
+        place, change = steepest(image, line, reach, least)
         if change < 0.0:
             continue
         e2 = place * place
@@ -151,28 +145,106 @@ def add_edge_points(  # noqa: PLR0917
             add_in_place(in_place, share, near)
         if change == 0.0:
             continue
-        gx = across * at.column_by_x + down * at.row_by_x
-        gy = across * at.column_by_y + down * at.row_by_y
-        kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
-        normal, at_m, weight = Vector(-kx, -ky, -kz), Vector(x, y, z), geman_mcclure(e2, c2)
+        kx, ky, kz = _slope(R, seen)
+        normal, weight = Vector(-kx, -ky, -kz), geman_mcclure(e2, c2)
+        at_m = Vector(places[n, 0], places[n, 1], places[n, 2])
         add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
-            if not shifts_asked:
-                continue
-            line = Profile(column, row, across, down)
-            darker = darker_side(image, line, place)
-            if counted:
-                add_residual(every, normal, at_m, darker, weight)
-            if is_beside_saturated(saturated, line, place):
-                add_residual(beside, normal, at_m, darker, weight)
-                shift[0] += weight
-                shift[1] -= weight * darker * place
-                shifted += 1
+            shifted += _add_shifts(of_shifts, image, saturated, line, (normal, at_m, place, weight), counted)
+    beside, every, shift = of_shifts
     shifts = EdgeShifts(beside, shift[0], shift[1], every)
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
+
+
+class _ShiftSums(NamedTuple):
+    """The sums of ``EdgeShifts`` while they grow."""
+
+    beside: FloatArray
+    """Inliers beside saturated pixels, shape (35,)."""
+    every: FloatArray
+    """All inliers, shape (35,)."""
+    shift: FloatArray
+    """Weight and pull, shape (2,)."""
+
+
+class _SeenEdge(NamedTuple):
+    """A sample of an edge, projected."""
+
+    at: Imaged
+    across: float
+    down: float
+    """Unit vector across the edge in the image; 0, 0 for an edge seen from its end."""
+    x: float
+    y: float
+    """Slopes x / z and y / z."""
+    per_z: float
+    """One over z, 1/m."""
+
+
+@inlined_kernel
+def _seen_edge(places: FloatArray, directions: FloatArray, n: int, pose: PoseArrays, lens: Lens) -> _SeenEdge:
+    """Return a sample of an edge, projected.
+
+    Args:
+        places: as in ``EdgeArrays``, shape (N, 3).
+        directions: as in ``EdgeArrays``, shape (N, 3).
+        n: index of the sample.
+        pose: pose of the target.
+        lens: the camera.
+    """
+    (R, t), (px, py, pz) = pose, in_sensor(pose.R, places[n, 0], places[n, 1], places[n, 2])
+    px, py, pz = px + t[0], py + t[1], pz + t[2]
+    per_z = 1.0 / pz
+    x, y = px * per_z, py * per_z
+    at = imaged(x, y, lens)
+    towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
+    across, down = across_edge(at, towards, x, y)
+    return _SeenEdge(at, across, down, x, y, per_z)
+
+
+@inlined_kernel
+def _slope(R: FloatArray, seen: _SeenEdge) -> Vector:
+    """Return the motion across an edge, px, per metre of motion of its sample, target axes; R is (3, 3)."""
+    at, across, down, per_z = seen.at, seen.across, seen.down, seen.per_z
+    gx = across * at.column_by_x + down * at.row_by_x
+    gy = across * at.column_by_y + down * at.row_by_y
+    return in_target(R, gx * per_z, gy * per_z, -(gx * seen.x + gy * seen.y) * per_z)
+
+
+@inlined_kernel
+def _add_shifts(  # noqa: PLR0917
+    sums: _ShiftSums,
+    image: Float32Array,
+    saturated: NDArray[np.uint8],
+    line: Profile,
+    edge: tuple[Vector, Vector, float, float],
+    counted: bool,
+) -> int:
+    """Add an edge to the sums of the shifts; return 1 if it lies beside saturated pixels, otherwise 0.
+
+    Args:
+        sums: input and output.
+        image: the image, shape (rows, columns).
+        saturated: mask of the image, as in ``Patch``.
+        line: line across the edge.
+        edge: normal of its residual, px/m, its place on the target, m, and on the line, px, and its weight.
+        counted: whether it is added to the sums of all edges.
+    """
+    normal, at_m, place, weight = edge
+    found = 0
+    if counted or saturated.size > 0:
+        darker = darker_side(image, line, place)
+        if counted:
+            add_residual(sums.every, normal, at_m, darker, weight)
+        if is_beside_saturated(saturated, line, place):
+            add_residual(sums.beside, normal, at_m, darker, weight)
+            sums.shift[0] += weight
+            sums.shift[1] -= weight * darker * place
+            found = 1
+    return found
 
 
 @inlined_kernel

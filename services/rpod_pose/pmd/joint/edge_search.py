@@ -213,7 +213,10 @@ def bilinear(image: Float32Array, column: float, row: float) -> float:
         column: column, at least 0.
         row: row, at least 0.
     """
-    j, i = np.uint32(column), np.uint32(row)  # an index without a sign is not checked for counting from the end
+    j, i = (
+        np.uint32(column),
+        np.uint32(row),
+    )  # an index without a sign is not checked for counting from the end
     a, b = column - j, row - i
     one = np.uint32(1)
     first, second = image[i, j], image[i + one, j]
