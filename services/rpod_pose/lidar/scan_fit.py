@@ -373,7 +373,9 @@ def _inverses() -> tuple[FloatArray, FloatArray]:
     """Return the inverses that fit gains, (7, N), and a root of the covariance, (6, N), to the draws."""
     drawn = normal_steps(DRAWN_POWER)
     curved = np.column_stack((drawn, (drawn**2).sum(axis=1)))
-    return np.linalg.pinv(curved), np.linalg.pinv(drawn)
+    of_gains: FloatArray = np.linalg.pinv(curved).astype(np.float64, copy=False)
+    of_steps: FloatArray = np.linalg.pinv(drawn).astype(np.float64, copy=False)
+    return of_gains, of_steps
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:

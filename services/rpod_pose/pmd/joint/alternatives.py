@@ -7,8 +7,8 @@ distance of the other one.
 
 An alignment from a prediction that is some pixels off may end at a wrong pose, where edges match their
 neighbours. It is repeated from poses around its end, until one returns to the likeliest pose, or no further
-start leads to a likelier one. Before that, it is repeated from poses along the line of sight: because of a bias of the ranges, the outline may have
-been beyond the reach of the search for edges.
+start leads to a likelier one. Before that, it is repeated from poses along the line of sight: because of a
+bias of the ranges, the outline may have been beyond the reach of the search for edges.
 """
 
 from collections.abc import Callable, Sequence
@@ -147,10 +147,9 @@ def likeliest(
         (pose, bias_m), since = best.fit.state, since + 1
         tried.append(aligned_from(State(stepped(pose, step), bias_m)))
         losses.append(loss(tried[-1]))
-        poses = best.fit.state.pose, tried[-1].fit.state.pose
         if losses[-1] < least - CLEAR_LOG:
             best, least, since = tried[-1], losses[-1], 0
-        if moved_px(*poses, radius_m, 1.0 / px_m) < RETURNED_PX:
+        elif moved_px(pose, tried[-1].fit.state.pose, radius_m, 1.0 / px_m) < RETURNED_PX:
             break
     T_best, spread = pose_of(*best.fit.state.pose), best.spread.copy()
     for each, weight in zip(tried, softmax(-np.array(losses)), strict=True):
