@@ -396,6 +396,5 @@ def _prepare(
         step = (measured_m + shift_m) * steps_per_m + np.float32(0.5)
         index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN takes the last entry
         shift_m -= corrections_m[index]
-        out[pixel] = (
-            depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)
-        )
+        ahead = measured_m + shift_m > nothing
+        out[pixel] = depth + shift_m * cosines[pixel] if ahead else np.float32(np.nan)

@@ -146,16 +146,14 @@ def add_edge_points(  # noqa: PLR0917
         if change == 0.0:
             continue
         kx, ky, kz = _slope(R, seen)
-        normal, weight = Vector(-kx, -ky, -kz), geman_mcclure(e2, c2)
-        at_m = Vector(places[n, 0], places[n, 1], places[n, 2])
+        normal, at_m, weight = Vector(-kx, -ky, -kz), _row(places, n), geman_mcclure(e2, c2)
         add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
             shifted += _add_shifts(of_shifts, image, saturated, line, (normal, at_m, place, weight), counted)
-    beside, every, shift = of_shifts
-    shifts = EdgeShifts(beside, shift[0], shift[1], every)
+    shifts = EdgeShifts(of_shifts.beside, of_shifts.shift[0], of_shifts.shift[1], of_shifts.every)
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
 
 
@@ -203,6 +201,12 @@ def _seen_edge(places: FloatArray, directions: FloatArray, n: int, pose: PoseArr
     towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
     across, down = across_edge(at, towards, x, y)
     return _SeenEdge(at, across, down, x, y, per_z)
+
+
+@inlined_kernel
+def _row(places: FloatArray, n: int) -> Vector:
+    """Return one row of an array of places, shape (N, 3)."""
+    return Vector(places[n, 0], places[n, 1], places[n, 2])
 
 
 @inlined_kernel

@@ -207,8 +207,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         shown: the target rendered on the patch's pixels.
     """
     shade, fitted_shade, window, (R, t) = shown.shade, shown.fitted, shown.window, shown.pose
-    range_m, per_px = shown.range_m, shown.per_px
-    rows, columns = patch.image.shape
+    (rows, columns), range_m, per_px = patch.image.shape, shown.range_m, shown.per_px
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
     sample, merged, count = np.empty(most, np.int64), np.zeros(most, np.bool_), 0
     place, probability, contrast = np.empty(most), np.empty(most), np.empty(most)
@@ -244,9 +243,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         sample[count] = n
         place[count] = shift if abs(shift) > ALIASED_PX else 0.0
         contrast[count] = gain * change if change else least
-        probability[count] = (
-            shown_probability(contrast[count], spread, patch.noise, patch.least) if change else 0.0
-        )
+        shown_by = shown_probability(contrast[count], spread, patch.noise, patch.least)
+        probability[count] = shown_by if change else 0.0
         merged[count] = not fitted_change and steepest(fitted_shade, profile, MERGED_PX, least).change > 0.0
         count += 1
     return ExpectedEdges(
