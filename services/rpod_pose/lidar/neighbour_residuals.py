@@ -70,7 +70,13 @@ def neighbour_sums(
 
 @inner_kernel
 def _is_beside(triangle: NDArray[np.int32], i: int, j: int) -> bool:
-    """Return whether neither a ray, row i and column j, nor one of its eight neighbours meets the target."""
+    """Return whether neither a ray nor one of its eight neighbours meets the target.
+
+    Args:
+        triangle: index of the triangle that each ray meets, -1 for none, shape (rows, columns).
+        i: row of the ray.
+        j: its column.
+    """
     rows, columns = triangle.shape
     for k in range(max(i - 1, 0), min(i + 2, rows)):
         for n in range(max(j - 1, 0), min(j + 2, columns)):

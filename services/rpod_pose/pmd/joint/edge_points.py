@@ -232,7 +232,7 @@ def _add_shifts(  # noqa: PLR0917
     Args:
         sums: input and output.
         image: the image, shape (rows, columns).
-        saturated: mask of the image, as in ``Patch``.
+        saturated: mask as in ``Patch``, shape (rows, columns) or (0, 0).
         line: line across the edge.
         edge: normal of its residual, px/m, its place on the target, m, and on the line, px, and its weight.
         counted: whether it is added to the sums of all edges.
@@ -256,7 +256,7 @@ def is_beside_saturated(saturated: NDArray[np.uint8], profile: Profile, place: f
     """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels.
 
     Args:
-        saturated: mask of the image, as in ``Patch``.
+        saturated: mask as in ``Patch``, shape (rows, columns) or (0, 0).
         profile: line across the edge.
         place: place of the edge on it, px.
     """

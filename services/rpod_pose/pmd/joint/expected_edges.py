@@ -340,7 +340,7 @@ def nearby_m(range_m: Float32Array, per_px: int, i: int, j: int) -> float:
     """Return the largest range, m, of the rays of 2 by 2 pixels from row i and column j on; inf for sky.
 
     Args:
-        range_m: as in ``Shown``.
+        range_m: as in ``Shown``, shape (per_px * rows, per_px * columns).
         per_px: as in ``Shown``.
         i: row of the first pixel.
         j: its column.
