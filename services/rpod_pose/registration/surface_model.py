@@ -106,7 +106,7 @@ def _expected_hits(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray)
     across = min(right, grid.column_upper[-1]) - max(left, grid.column_lower[0])
     down = min(bottom, grid.row_upper[-1]) - max(top, grid.row_lower[0])
     filled = faces.silhouette_m2 / (max(across, 0.0) * max(down, 0.0) * middle_m**2)
-    return max(rows, 0) * max(columns, 0) * min(filled, 1.0)
+    return float(max(rows, 0) * max(columns, 0) * min(filled, 1.0))
 
 
 def outline_edges(triangles_m: FloatArray, normals: FloatArray) -> Edges:
