@@ -10,17 +10,18 @@ likelihood, therefore measures how inconsistent the scan is with the pose, witho
 comparison. The deficit of a right pose is small and random; that of a wrong one is several units per return.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from math import degrees, e, hypot, log, pi, sqrt
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.cancellation import stop_if_cancelled
+from rpod_pose.lidar.neighbour_residuals import neighbour_sums
 from rpod_pose.lidar.posterior.sampled_posterior import (
     Proposal,
     SampledPosterior,
@@ -237,16 +238,9 @@ class ScanModel:
         """
         hits = self._view.hits
         cast_faces(seen.grid.arrays, self._faces, R, t, hits.arrays)
-        met, limit_m = hits.triangle >= 0, _LIMIT * self.sigma_range_m
-        beside = ~binary_dilation(met, np.ones((3, 3), np.bool_))
-        off_m = np.where(met, seen.range_m - hits.range_m, limit_m).clip(-limit_m, limit_m)
-        returned = (seen.range_m > 0.0) & (met | beside)
-        residual_m = np.where(returned, off_m, 0.0)
-        product = np.concatenate([one[both] for one, both in _neighbours(residual_m, returned)])
-        share = float((returned & beside).sum()) / max(int(beside.sum()), 1)
-        pairs = sum(int(both.sum()) for _, both in _neighbours(residual_m, beside))
-        expected_m2 = self._uneven_m**2 * product.size + (share * limit_m) ** 2 * pairs
-        return Misfit(float(product.sum()) - expected_m2, float(product @ product))
+        sums = neighbour_sums(seen.range_m, hits.range_m, hits.triangle, _LIMIT * self.sigma_range_m)
+        expected_m2 = self._uneven_m**2 * sums.products + sums.chance_m2
+        return Misfit(sums.product_m2 - expected_m2, sums.squares_m4)
 
     def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
         """Return the numbers from which the belief in a fit follows.
@@ -367,20 +361,21 @@ def uphill(steps: FloatArray, gains: FloatArray) -> FloatArray:
         steps: drawn steps, shape (N, 6).
         gains: log likelihood of each relative to that of no step, shape (N,).
     """
-    drawn = normal_steps(DRAWN_POWER)
-    slope, *_ = np.linalg.lstsq(np.column_stack((drawn, (drawn**2).sum(axis=1))), gains, rcond=None)
+    of_gains, of_steps = _inverses()
+    slope = of_gains @ gains
     direction = slope[:6] / max(float(np.linalg.norm(slope[:6])), 1e-12)
-    root, *_ = np.linalg.lstsq(drawn, steps, rcond=None)
-    along: FloatArray = np.outer(UPHILL_SIGMAS, direction @ root)
+    along: FloatArray = np.outer(UPHILL_SIGMAS, direction @ (of_steps @ steps))
     return along
 
 
-def _neighbours(
-    value: FloatArray, chosen: NDArray[np.bool_]
-) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-    """Yield the products of horizontal, then of vertical neighbours, and whether both are chosen."""
-    yield value[:, 1:] * value[:, :-1], chosen[:, 1:] & chosen[:, :-1]
-    yield value[1:] * value[:-1], chosen[1:] & chosen[:-1]
+@cache
+def _inverses() -> tuple[FloatArray, FloatArray]:
+    """Return the inverses that fit gains, (7, N), and a root of the covariance, (6, N), to the draws."""
+    drawn = normal_steps(DRAWN_POWER)
+    curved = np.column_stack((drawn, (drawn**2).sum(axis=1)))
+    of_gains: FloatArray = np.linalg.pinv(curved).astype(np.float64, copy=False)
+    of_steps: FloatArray = np.linalg.pinv(drawn).astype(np.float64, copy=False)
+    return of_gains, of_steps
 
 
 def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -24,20 +24,19 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import RayGrid, cast
+from rpod_geometry.rays import cast
 from rpod_pose.belief import undetermined
 from rpod_pose.pmd.amplitude_unit import in_counts
 from rpod_pose.pmd.camera_check import difference
-from rpod_pose.pmd.depth_view import rays_of
+from rpod_pose.pmd.depth_view import cosines_of, rays_if_any
 from rpod_pose.pmd.other_things import PmdFrames
 from rpod_pose.ports import Acquirer, Acquisition, Likelihoods, Outcome, Registration, Tracker
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration, unambiguous_range_m
 from rpod_schemas.poses import rotation_matrix
-from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame, Source
+from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 
 _MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
@@ -54,6 +53,8 @@ returns."""
 _MARGIN = 1.0 / 15.0
 """Margin around the target's bounding sphere for the error of a prediction, over the unambiguous range. Hand:
 0.5 m at 20 MHz; twice the radius and this must stay below the unambiguous range."""
+_MOST_MULTIPLES = 32
+"""Largest number of multiples that a search tries. Numerics: a budget; a camera at 100 MHz needs up to 30."""
 _LEAST_CONCENTRATION = 0.3
 """Least length of the mean phasor of an image that shows one distance; 0 for evenly spread distances, 1 for a
 single one. Hand: with a smaller length the mean distance means nothing, and all multiples are tried."""
@@ -108,17 +109,32 @@ class DepthPreparation:
 
         Multiples at which the whole image has a possible size of the target come first. If it shows more than
         the target at each of them, all others follow, in steps of half an unambiguous range. So one of them
-        contains the whole target.
+        contains the whole target. At most ``_MOST_MULTIPLES`` are tried.
         """
         frame, interval_m, alone = in_counts(frame), self._interval_m(frame), False
-        for distance_m in self._fitting_m(frame, interval_m) if interval_m else [0.0]:
+        fitting_m = self._fitting_m(frame, interval_m)[:_MOST_MULTIPLES] if interval_m else [0.0]
+        for distance_m in fitting_m:
             prepared = self._applied(frame, distance_m, 2.0 * self.target.radius_m)
             alone = alone or not interval_m or not self._shows_more(prepared)
             yield prepared
         if not alone:
-            half_m = 0.5 * interval_m
-            for number in range(1, max(math.ceil(_FARTHEST_M / half_m), 2)):
+            half_m, left = 0.5 * interval_m, max(_MOST_MULTIPLES - len(fitting_m), 1)
+            for number in range(1, 1 + min(self._multiples(interval_m), left)):
                 yield self._applied(frame, number * half_m, half_m)
+
+    @staticmethod
+    def _multiples(interval_m: float) -> int:
+        """Return the number of steps of half an unambiguous range, m, up to the farthest target."""
+        return max(math.ceil(_FARTHEST_M / (0.5 * interval_m)) - 1, 1)
+
+    def untried(self, frame: PmdFrame) -> str:
+        """Return that not all multiples are tried in a search, and the remedy; empty if all are."""
+        interval_m = self._interval_m(frame)
+        if not interval_m or self._multiples(interval_m) <= _MOST_MULTIPLES:
+            return ""
+        (name, hertz), *_ = self._frequencies(frame)
+        of_it = f"{name} says {_mhz(hertz)}, whose unambiguous range is {interval_m:.2g} m"
+        return f"{of_it}: only {_MOST_MULTIPLES} of its multiples are tried; is the frequency right?"
 
     def _fitting_m(self, frame: PmdFrame, interval_m: float) -> list[float]:
         """Return the distances at which the whole image has a possible size of the target, nearest first."""
@@ -148,7 +164,7 @@ class DepthPreparation:
 
     def _unwrapped_at(self, frame: PmdFrame, T_sensor_target: RigidTransform) -> PmdFrame:
         """Return a frame whose distances are unwrapped by comparison with a rendering at a pose."""
-        rays = _rays_of(frame.camera)
+        rays = rays_if_any(frame.camera)
         if rays is None:
             return frame  # the method reports the error of the lens
         cosine = rays.components[2]
@@ -178,7 +194,7 @@ class DepthPreparation:
 
     def _seen_at(self, frame: PmdFrame) -> tuple[float, float] | None:
         """Return the mean distance modulo c / 2f, m, and the RMS spread of the slopes; None if unknown."""
-        cosine = _cosines_of(frame.camera)
+        cosine = cosines_of(frame.camera)
         row, column = np.nonzero(np.isfinite(frame.depth_m) & (frame.depth_m > 0.0))
         if cosine is None or not row.size:
             return None
@@ -199,7 +215,7 @@ class DepthPreparation:
         return self.target.equivalence.with_free_variance(found.covariance, R, 0.0)
 
     def _applied(self, frame: PmdFrame, range_m: float, reach_m: float) -> PmdFrame:
-        cosine, interval_m = _cosines_of(frame.camera), self._interval_m(frame)
+        cosine, interval_m = cosines_of(frame.camera), self._interval_m(frame)
         if cosine is None or (self._sensor.calibration is None and not interval_m):
             return frame  # the method reports the error of the lens
         depth_m = np.empty(frame.depth_m.shape, np.float32)
@@ -241,7 +257,7 @@ class PreparedAcquirer:
                 return self._determined(found)
             failed = failed or found
         assert failed is not None  # noqa: S101 - one is always possible
-        return failed
+        return _telling(failed, self._preparation.untried(measurement))
 
     def near(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the acquisition near a pose, which determines the multiple."""
@@ -322,6 +338,15 @@ def _refused(why: str) -> Acquisition:
     return Acquisition(Registration.none(Source.NONE, why))
 
 
+def _telling(failed: Acquisition, also: str) -> Acquisition:
+    """Return a failed acquisition whose reason tells something else too, unless that is empty."""
+    if not also:
+        return failed
+    belief = failed.registration.belief
+    told = replace(belief, reason=f"{belief.reason}; {also}")
+    return replace(failed, registration=replace(failed.registration, belief=told))
+
+
 def _determined(
     registration: Registration, covariance: FloatArray, *, max_sigma_m: float, max_sigma_deg: float
 ) -> Registration:
@@ -333,22 +358,6 @@ def _determined(
         return registration
     open_motion = undetermined(covariance, max_sigma_m=max_sigma_m, max_sigma_deg=max_sigma_deg)
     return replace(registration, belief=replace(registration.belief, undetermined=open_motion))
-
-
-def _cosines_of(camera: Camera) -> Float32Array | None:
-    """Return z-depth divided by radial distance of each pixel; None if the distortion has no inverse."""
-    rays = _rays_of(camera)
-    return None if rays is None else rays.components[2]
-
-
-def _rays_of(camera: Camera) -> RayGrid | None:
-    """Return the rays of all pixels; None if the distortion has no inverse."""
-    if camera.distortion[LENS_COEFFICIENTS:].any():
-        return None
-    try:
-        return rays_of(camera)
-    except DistortionError:
-        return None
 
 
 @kernel
@@ -387,6 +396,5 @@ def _prepare(
         step = (measured_m + shift_m) * steps_per_m + np.float32(0.5)
         index = np.int32(step) if nothing <= step < last else np.int32(last)  # NaN takes the last entry
         shift_m -= corrections_m[index]
-        out[pixel] = (
-            depth + shift_m * cosines[pixel] if measured_m + shift_m > nothing else np.float32(np.nan)
-        )
+        ahead = measured_m + shift_m > nothing
+        out[pixel] = depth + shift_m * cosines[pixel] if ahead else np.float32(np.nan)

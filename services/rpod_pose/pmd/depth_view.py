@@ -228,6 +228,22 @@ def usable_image(frame: PmdFrame, config: DepthImageConfig) -> DepthImage | str:
     return DepthImage(view, depth_m, downsampled(depth_m, view.stride, view.offset))
 
 
+def cosines_of(camera: Camera) -> Float32Array | None:
+    """Return z-depth divided by radial distance of each pixel; None if the distortion has no inverse."""
+    rays = rays_if_any(camera)
+    return None if rays is None else rays.components[2]
+
+
+def rays_if_any(camera: Camera) -> RayGrid | None:
+    """Return the rays of all pixels; None if the distortion has no inverse."""
+    if camera.distortion[LENS_COEFFICIENTS:].any():
+        return None
+    try:
+        return rays_of(camera)
+    except DistortionError:
+        return None
+
+
 def stray_light(frame: PmdFrame, share: float) -> Float32Array:
     """Return the largest amplitude that light scattered in the lens explains, shape (height, width).
 

@@ -102,8 +102,11 @@ def _expected_hits(grid: GridArrays, faces: Faces, R: FloatArray, t: FloatArray)
         middle_m += ahead_m / 8.0
     columns = int(np.searchsorted(grid.column_lower, right) - np.searchsorted(grid.column_upper, left))
     rows = int(np.searchsorted(grid.row_lower, bottom) - np.searchsorted(grid.row_upper, top))
-    filled = faces.silhouette_m2 / ((right - left) * (bottom - top) * middle_m**2)
-    return max(rows, 0) * max(columns, 0) * min(filled, 1.0)
+    # A corner beside the sensor has a huge slope, but only the part of the box within the grid has rays.
+    across = min(right, grid.column_upper[-1]) - max(left, grid.column_lower[0])
+    down = min(bottom, grid.row_upper[-1]) - max(top, grid.row_lower[0])
+    filled = faces.silhouette_m2 / (max(across, 0.0) * max(down, 0.0) * middle_m**2)
+    return float(max(rows, 0) * max(columns, 0) * min(filled, 1.0))
 
 
 def outline_edges(triangles_m: FloatArray, normals: FloatArray) -> Edges:

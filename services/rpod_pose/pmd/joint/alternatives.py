@@ -6,9 +6,9 @@ merges with others. If the two poses differ, the likelier one is chosen, and its
 distance of the other one.
 
 An alignment from a prediction that is some pixels off may end at a wrong pose, where edges match their
-neighbours. It is repeated from poses around its end, until no further start leads to a likelier pose. Before
-that, it is repeated from poses along the line of sight: because of a bias of the ranges, the outline may have
-been beyond the reach of the search for edges.
+neighbours. It is repeated from poses around its end, until one returns to the likeliest pose, or no further
+start leads to a likelier one. Before that, it is repeated from poses along the line of sight: because of a
+bias of the ranges, the outline may have been beyond the reach of the search for edges.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,6 +23,7 @@ from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.joint.brightness_fit import MOST_SIGMAS
 from rpod_pose.pmd.joint.depth_points import add_depth_points
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem
+from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays, step_between, stepped, turned
@@ -37,6 +38,9 @@ CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
 PATIENCE, MOST_STARTS = 3, 12
 """Number of starts without a likelier pose after which no further one is tried, and largest number of starts.
 Numerics: budgets of computation."""
+RETURNED_PX = 0.1
+"""Largest distance in the image of an end from the likeliest pose that counts as the same pose. Physics: a
+tenth of a pixel is the least error of an edge."""
 START_PX = 2.5
 """Distance in the image of a start from the likeliest pose so far. Numerics: a start is then within the reach
 of the search for edges (3 px), and beyond the width of an edge."""
@@ -122,7 +126,7 @@ def likeliest(
 ) -> Aligned:
     """Return the likeliest of several alignments, with the distances of the others in its spread.
 
-    The starts lie around the likeliest pose so far.
+    The starts lie around the likeliest pose so far. One that ends there again ends the search.
 
     Args:
         first: the alignment from the prediction.
@@ -145,6 +149,8 @@ def likeliest(
         losses.append(loss(tried[-1]))
         if losses[-1] < least - CLEAR_LOG:
             best, least, since = tried[-1], losses[-1], 0
+        elif moved_px(pose, tried[-1].fit.state.pose, radius_m, 1.0 / px_m) < RETURNED_PX:
+            break
     T_best, spread = pose_of(*best.fit.state.pose), best.spread.copy()
     for each, weight in zip(tried, softmax(-np.array(losses)), strict=True):
         away = step_between(T_best, pose_of(*each.fit.state.pose))

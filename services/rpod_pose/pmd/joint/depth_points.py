@@ -171,14 +171,15 @@ def add_depth_points(  # noqa: PLR0917
         x, y, z = in_target(R, px - t[0], py - t[1], pz - t[2])
         back = bias / range_m
         place = Vector(x - back * ray.x, y - back * ray.y, z - back * ray.z)
-        distance, g = seen_sample(field, place, ray, range_m, 2.0 * scale)
         face = Vector(planes.normals[n, 0], planes.normals[n, 1], planes.normals[n, 2])
-        from_plane = face.x * place.x + face.y * place.y + face.z * place.z - planes.offsets_m[n]
         along = face.x * ray.x + face.y * ray.y + face.z * ray.z
-        if along < 0.0 and abs(from_plane) <= abs(distance) + field.spacing_m:
-            distance, g = from_plane, face
-        else:
-            along = g.x * ray.x + g.y * ray.y + g.z * ray.z
+        from_plane = face.x * place.x + face.y * place.y + face.z * place.z - planes.offsets_m[n]
+        distance, g = from_plane, face
+        if not (along < 0.0 and abs(from_plane) <= field.spacing_m):  # nearer, the field decides nothing
+            in_field = seen_sample(field, place, ray, range_m, 2.0 * scale)
+            if not (along < 0.0 and abs(from_plane) <= abs(in_field.distance) + field.spacing_m):
+                distance, g = in_field
+                along = g.x * ray.x + g.y * ray.y + g.z * ray.z
         if along == 0.0:
             continue
         d2 = distance * distance

@@ -66,7 +66,7 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
         )
         sums = no_sums()
         part = EdgeSight(sight.edges, sight.lens, sight.patch, some)
-        add_edge_points(sums, part, state.pose, reach, problem.edge_errors)
+        add_edge_points(sums, part, state.pose, reach, problem.edge_errors, False)
         gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
         informations[k] = information_of(shares.edges * sums, UNKNOWNS)
     return Lines(gradients, informations)

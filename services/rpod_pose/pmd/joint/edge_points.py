@@ -13,13 +13,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_pose.pmd.joint.edge_search import Patch, Profile, across_edge, imaged, steepest
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
+from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import Float32Array
 
 SCALE, LAST_SCALE = 0.2, 0.13
 """Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
@@ -91,8 +93,13 @@ class EdgeEvidence(NamedTuple):
 
 
 @kernel
-def add_edge_points(
-    sums: FloatArray, sight: EdgeSight, pose: PoseArrays, reach: float, errors: EdgeErrors
+def add_edge_points(  # noqa: PLR0917
+    sums: FloatArray,
+    sight: EdgeSight,
+    pose: PoseArrays,
+    reach: float,
+    errors: EdgeErrors,
+    counted: bool = True,
 ) -> EdgeEvidence:
     """Add the factors of samples of edges, residuals in px, to the sums, shape (35,); return their evidence.
 
@@ -108,54 +115,63 @@ def add_edge_points(
         pose: pose to linearise at.
         reach: half length of the search, px.
         errors: assumed errors of edges.
+        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``
+            and ``shifts.every`` are 0: a fit needs them in its last step only.
     """
     edges, lens, patch, expected_edges = sight
-    (R, t), places, directions = pose, edges.places_m, edges.directions
+    R, places, directions = pose.R, edges.places_m, edges.directions
+    image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
-    of_shifts = np.zeros((3, SUMS))
+    of_shifts = _ShiftSums(np.zeros(SUMS), np.zeros(SUMS), np.zeros(2))
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
         n = expected_edges.sample[m]
-        x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        px, py, pz = in_sensor(R, x, y, z)
-        px, py, pz = px + t[0], py + t[1], pz + t[2]
-        per_z = 1.0 / pz
-        sx, sy = px * per_z, py * per_z
-        at = imaged(sx, sy, lens)
-        towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
-        across, down = across_edge(at, towards, sx, sy)
+        seen = _seen_edge(places, directions, n, pose, lens)
+        at, across, down = seen.at, seen.across, seen.down
         if across == 0.0 and down == 0.0:
             continue
         shown = expected_edges.place[m]
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
         line = Profile(column, row, across, down)
-        place, change = steepest(patch.image, line, reach, patch.least)
+        place, change = steepest(image, line, reach, least)
         if change < 0.0:
             continue
         e2, checked = place * place, checked + 1
         near = change > 0.0 and e2 < near2
         found += near
-        noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
-        share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
-        expected += share
-        add_in_place(in_place, share, near)
+        noisy_px = 0.0
+        if counted:
+            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+            share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
+            expected += share
+            add_in_place(in_place, share, near)
         if change == 0.0:
             continue
-        gx = across * at.column_by_x + down * at.row_by_x
-        gy = across * at.column_by_y + down * at.row_by_y
-        kx, ky, kz = in_target(R, gx * per_z, gy * per_z, -(gx * sx + gy * sy) * per_z)
-        before, normal, at_m = expected_edges.before[m], Vector(-kx, -ky, -kz), Vector(x, y, z)
+        kx, ky, kz = _slope(R, seen)
+        normal, at_m, before = Vector(-kx, -ky, -kz), _row(places, n), expected_edges.before[m]
         weight = geman_mcclure(e2, c2) / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
         add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
             inliers += 1
             squares += e2
             noise_px2 += noisy_px**2
-            shifted += add_to_shifts(of_shifts, SideEdge(normal, at_m, place, weight, before), patch, line)
-    shifts = EdgeShifts(of_shifts[0], of_shifts[2, 0], of_shifts[2, 1], of_shifts[1])
+            edge = SideEdge(normal, at_m, place, weight, before)
+            shifted += _add_shifts(of_shifts, image, saturated, line, edge, counted)
+    shifts = EdgeShifts(of_shifts.beside, of_shifts.shift[0], of_shifts.shift[1], of_shifts.every)
     return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
+
+
+class _ShiftSums(NamedTuple):
+    """The sums of ``EdgeShifts`` while they grow."""
+
+    beside: FloatArray
+    """Inliers beside saturated pixels, shape (35,)."""
+    every: FloatArray
+    """All inliers, shape (35,)."""
+    shift: FloatArray
+    """Weight and pull, shape (2,)."""
 
 
 class SideEdge(NamedTuple):
@@ -173,49 +189,115 @@ class SideEdge(NamedTuple):
     """Whether it is an outline before something bright."""
 
 
-@inner_kernel
-def add_to_shifts(of_shifts: FloatArray, edge: SideEdge, patch: Patch, line: Profile) -> int:
+class _SeenEdge(NamedTuple):
+    """A sample of an edge, projected."""
+
+    at: Imaged
+    across: float
+    down: float
+    """Unit vector across the edge in the image; 0, 0 for an edge seen from its end."""
+    x: float
+    y: float
+    """Slopes x / z and y / z."""
+    per_z: float
+    """One over z, 1/m."""
+
+
+@inlined_kernel
+def _seen_edge(places: FloatArray, directions: FloatArray, n: int, pose: PoseArrays, lens: Lens) -> _SeenEdge:
+    """Return a sample of an edge, projected.
+
+    Args:
+        places: as in ``EdgeArrays``, shape (N, 3).
+        directions: as in ``EdgeArrays``, shape (N, 3).
+        n: index of the sample.
+        pose: pose of the target.
+        lens: the camera.
+    """
+    (R, t), (px, py, pz) = pose, in_sensor(pose.R, places[n, 0], places[n, 1], places[n, 2])
+    px, py, pz = px + t[0], py + t[1], pz + t[2]
+    per_z = 1.0 / pz
+    x, y = px * per_z, py * per_z
+    at = imaged(x, y, lens)
+    towards = in_sensor(R, directions[n, 0], directions[n, 1], directions[n, 2])
+    across, down = across_edge(at, towards, x, y)
+    return _SeenEdge(at, across, down, x, y, per_z)
+
+
+@inlined_kernel
+def _row(places: FloatArray, n: int) -> Vector:
+    """Return one row of an array of places, shape (N, 3)."""
+    return Vector(places[n, 0], places[n, 1], places[n, 2])
+
+
+@inlined_kernel
+def _slope(R: FloatArray, seen: _SeenEdge) -> Vector:
+    """Return the motion across an edge, px, per metre of motion of its sample, target axes; R is (3, 3)."""
+    at, across, down, per_z = seen.at, seen.across, seen.down, seen.per_z
+    gx = across * at.column_by_x + down * at.row_by_x
+    gy = across * at.column_by_y + down * at.row_by_y
+    return in_target(R, gx * per_z, gy * per_z, -(gx * seen.x + gy * seen.y) * per_z)
+
+
+@inlined_kernel
+def _add_shifts(  # noqa: PLR0917
+    sums: _ShiftSums,
+    image: Float32Array,
+    saturated: NDArray[np.uint8],
+    line: Profile,
+    edge: SideEdge,
+    counted: bool,
+) -> int:
     """Add an edge to the sums of the shifts; return 1 if it is one of those that share one, otherwise 0.
 
     Args:
-        of_shifts: rows of ``EdgeShifts``: the edges beside saturated pixels, all edges, and in the third row
-            weight and pull, shape (3, 35), input and output.
-        edge: the edge.
-        patch: the image.
+        sums: input and output.
+        image: the image, shape (rows, columns).
+        saturated: mask as in ``Patch``, shape (rows, columns) or (0, 0).
         line: line across the edge.
+        edge: the edge.
+        counted: whether it is added to the sums of all edges.
     """
-    darker = darker_side(patch, line, edge.place)
-    add_residual(of_shifts[1], edge.normal, edge.at, darker, edge.weight)
-    if not (edge.before or is_beside_saturated(patch, line, edge.place)):
+    if not (counted or edge.before or saturated.size > 0):
         return 0
-    add_residual(of_shifts[0], edge.normal, edge.at, darker, edge.weight)
-    of_shifts[2, 0] += edge.weight
-    of_shifts[2, 1] -= edge.weight * darker * edge.place
-    return 1
+    darker, shared = darker_side(image, line, edge.place), 0
+    if counted:
+        add_residual(sums.every, edge.normal, edge.at, darker, edge.weight)
+    if edge.before or is_beside_saturated(saturated, line, edge.place):
+        add_residual(sums.beside, edge.normal, edge.at, darker, edge.weight)
+        sums.shift[0] += edge.weight
+        sums.shift[1] -= edge.weight * darker * edge.place
+        shared = 1
+    return shared
 
 
-@inner_kernel
-def is_beside_saturated(patch: Patch, profile: Profile, place: float) -> bool:
-    """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels."""
-    if not patch.saturated.size:
+@inlined_kernel
+def is_beside_saturated(saturated: NDArray[np.uint8], profile: Profile, place: float) -> bool:
+    """Return whether an edge at a place on a line across it, px, is shifted by saturated pixels.
+
+    Args:
+        saturated: mask as in ``Patch``, shape (rows, columns) or (0, 0).
+        profile: line across the edge.
+        place: place of the edge on it, px.
+    """
+    if not saturated.size:
         return False
-    column, row, across, down = profile
-    mixed: bool = patch.saturated[int(row + place * down), int(column + place * across)] > 0
-    return mixed
+    row, column = int(profile.row + place * profile.down), int(profile.column + place * profile.across)
+    return bool(saturated[row, column] > 0)
 
 
-@inner_kernel
-def darker_side(patch: Patch, profile: Profile, place: float) -> float:
+@inlined_kernel
+def darker_side(image: Float32Array, profile: Profile, place: float) -> float:
     """Return the darker side of an edge: -1 ahead, 1 behind.
 
     Args:
-        patch: the image.
+        image: the image, shape (rows, columns).
         profile: line across the edge.
         place: place of the edge on it, px.
     """
     column, row, across, down = profile
-    ahead = patch.image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
-    behind = patch.image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
+    ahead = image[int(row + (place + 2.0) * down), int(column + (place + 2.0) * across)]
+    behind = image[int(row + (place - 2.0) * down), int(column + (place - 2.0) * across)]
     return -1.0 if ahead < behind else 1.0
 
 

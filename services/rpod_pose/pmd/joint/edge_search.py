@@ -215,8 +215,13 @@ def bilinear(image: Float32Array, column: float, row: float) -> float:
         column: column, at least 0.
         row: row, at least 0.
     """
-    j, i = int(column), int(row)
+    j, i = (
+        np.uint32(column),
+        np.uint32(row),
+    )  # an index without a sign is not checked for counting from the end
     a, b = column - j, row - i
-    upper = image[i, j] + a * (image[i, j + 1] - image[i, j])
-    lower = image[i + 1, j] + a * (image[i + 1, j + 1] - image[i + 1, j])
+    one = np.uint32(1)
+    first, second = image[i, j], image[i + one, j]
+    upper = first + a * (image[i, j + one] - first)
+    lower = second + a * (image[i + one, j + one] - second)
     return float(upper + b * (lower - upper))

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inner_kernel, kernel
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
@@ -112,8 +112,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         patch: the image around the target.
         shown: the target rendered on the patch's pixels.
     """
-    shade, window, (R, t) = shown.shade, shown.window, shown.pose
-    rows, columns = patch.image.shape
+    shade, fitted_shade, window, (R, t) = shown.shade, shown.fitted, shown.window, shown.pose
+    (rows, columns), range_m, per_px = patch.image.shape, shown.range_m, shown.per_px
     most = len(edges.places_m) if shown.typical > 0.0 and patch.typical > 0.0 else 0
     sample, count = np.empty(most, np.int64), 0
     merged, before = np.zeros(most, np.bool_), np.zeros(most, np.bool_)
@@ -135,7 +135,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         if not (0.0 <= v < rows - 1 and 0.0 <= u < columns - 1):  # also for NaN
             continue
         i, j = int(v), int(u)
-        if math.sqrt(x * x + y * y + z * z) > (1.0 + 1.0 / lens.fx) * nearby_m(shown, i, j):
+        if math.sqrt(x * x + y * y + z * z) > (1.0 + 1.0 / lens.fx) * nearby_m(range_m, per_px, i, j):
             continue
         towards = in_sensor(R, edges.directions[n, 0], edges.directions[n, 1], edges.directions[n, 2])
         across, down = across_edge(at, towards, x / z, y / z)
@@ -145,12 +145,13 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         taken[i, j, way] = True
         profile = Profile(u - window.column, v - window.row, across, down)
         change, _ = own_change(shade, profile, faintest)
-        fitted_change, shift = own_change(shown.fitted, profile, least)
+        fitted_change, shift = own_change(fitted_shade, profile, least)
         before[count] = is_before_bright(patch, shown, Profile(u, v, across, down))
         sample[count], place[count] = n, shift if abs(shift) > ALIASED_PX else 0.0
         contrast[count] = gain * change if change else least
-        probability[count] = shown_probability(contrast[count], spread, patch) if change else 0.0
-        merged[count] = not fitted_change and steepest(shown.fitted, profile, MERGED_PX, least).change > 0.0
+        shown_by = shown_probability(contrast[count], spread, patch.noise, patch.least)
+        probability[count] = shown_by if change else 0.0
+        merged[count] = not fitted_change and steepest(fitted_shade, profile, MERGED_PX, least).change > 0.0
         count += 1
     return ExpectedEdges(
         shown.pose,
@@ -163,7 +164,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
     )
 
 
-@inner_kernel
+@inlined_kernel
 def own_change(shade: Float32Array, profile: Profile, least: float) -> tuple[float, float]:
     """Return the change of a rendering that belongs to an edge, and its place, px; 0, 0 if there is none.
 
@@ -203,16 +204,17 @@ def is_before_bright(patch: Patch, shown: Shown, profile: Profile) -> bool:
 
 
 @kernel
-def shown_probability(change: float, spread: float, patch: Patch) -> float:
+def shown_probability(change: float, spread: float, noise: float, least: float) -> float:
     """Return the probability that an image shows a change.
 
     Args:
         change: expected change of amplitude over two pixels.
         spread: standard deviation of its logarithm caused by the materials.
-        patch: the image, with its noise and the least change that counts.
+        noise: standard deviation of a change in the image.
+        least: least change that counts.
     """
-    deviation = math.hypot(spread, patch.noise / patch.least)
-    return 0.5 * math.erfc(math.log(patch.least / change) / math.sqrt(2.0) / deviation)
+    deviation = math.hypot(spread, noise / least)
+    return 0.5 * math.erfc(math.log(least / change) / math.sqrt(2.0) / deviation)
 
 
 @kernel
@@ -265,17 +267,24 @@ class Sights:
         return EdgeSight(self._edges, frame.lens, frame.patch, expected)
 
 
-@inner_kernel
-def nearby_m(shown: Shown, i: int, j: int) -> float:
-    """Return the largest range, m, of the rays of 2 by 2 pixels from row i and column j on; inf for sky."""
-    n, most = shown.per_px, 0.0
-    for v in range(n * i, n * (i + 2)):
-        for u in range(n * j, n * (j + 2)):
-            most = max(most, shown.range_m[v, u])
+@inlined_kernel
+def nearby_m(range_m: Float32Array, per_px: int, i: int, j: int) -> float:
+    """Return the largest range, m, of the rays of 2 by 2 pixels from row i and column j on; inf for sky.
+
+    Args:
+        range_m: as in ``Shown``, shape (per_px * rows, per_px * columns).
+        per_px: as in ``Shown``.
+        i: row of the first pixel.
+        j: its column.
+    """
+    most = np.float32(0.0)
+    for v in range(per_px * i, per_px * (i + 2)):
+        for u in range(per_px * j, per_px * (j + 2)):
+            most = max(most, range_m[v, u])
     return float(most)
 
 
-@inner_kernel
+@inlined_kernel
 def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, float]) -> float:
     """Return the larger spread of the faces beside a sample that face the sensor; -1 if none does.
 
@@ -284,10 +293,10 @@ def seen_spread(edges: EdgeArrays, sample: int, sensor: tuple[float, float, floa
         sample: index of the sample.
         sensor: position of the sensor, target axes, m.
     """
-    x, y, z = edges.places_m[sample]
-    towards, spread = (sensor[0] - x, sensor[1] - y, sensor[2] - z), -1.0
+    places, normals, spread = edges.places_m, edges.normals, -1.0
+    x, y, z = sensor[0] - places[sample, 0], sensor[1] - places[sample, 1], sensor[2] - places[sample, 2]
     for side in range(2):
-        a, b, c = edges.normals[sample, side]
-        if a * towards[0] + b * towards[1] + c * towards[2] > 0.0:
+        towards = normals[sample, side, 0] * x + normals[sample, side, 1] * y + normals[sample, side, 2] * z
+        if towards > 0.0:
             spread = max(spread, edges.spreads[sample, side])
     return spread

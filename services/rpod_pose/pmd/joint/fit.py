@@ -132,7 +132,7 @@ def joint_shares(problem: JointProblem, state: State) -> Shares:
     """Return the weights of points and edges in the last step of a problem, at a pose."""
     scale, reach = problem.schedule[-1]
     points = add_depth_points(no_sums(), problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors)
+    edges = add_edge_points(no_sums(), problem.sight, state.pose, reach, problem.edge_errors, False)
     return _shares(problem, points, edges, reach)
 
 
@@ -142,7 +142,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
-    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
+    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors, False)
     return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
 
 
@@ -159,7 +159,10 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
     scale, reach = problem.schedule[step]
     of_points, of_edges, hold = no_sums(), no_sums(), np.zeros(UNKNOWNS)
     points = add_depth_points(of_points, problem.points, problem.planes, state, problem.field, scale)
-    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors)
+    is_last = step + 1 >= problem.schedule.shape[0]
+    edges = add_edge_points(of_edges, problem.sight, pose, reach, problem.edge_errors, is_last)
+    if not (is_last or np.isfinite(of_edges).all()):  # no further step is made
+        edges = add_edge_points(no_sums(), problem.sight, pose, reach, problem.edge_errors)
     shares = _shares(problem, points, edges, reach)
     of_points, of_edges = shares.points * of_points, shares.edges * of_edges
     shifted = without_shift(of_edges, edges.shifts, shares.edges)

@@ -198,6 +198,20 @@ def test_starts_lie_around_the_likeliest_pose_so_far_and_end_when_none_is_better
     assert np.trace(best.spread) > 0.0
 
 
+def test_a_start_that_returns_to_the_likeliest_pose_ends_the_search() -> None:
+    first, started = aligned(TRUTH), []
+
+    def aligned_from(start: State) -> Aligned:
+        started.append(start)
+        return first
+
+    best = likeliest(
+        first, loss=lambda _: 9.0, aligned_from=aligned_from, px_m=0.005, radius_m=MOCKUP.radius_m
+    )
+    assert len(started) == 1
+    assert best.fit is first.fit
+
+
 def test_an_unlikely_alignment_adds_nothing_to_the_errors() -> None:
     first = aligned(TRUTH)
     losses = iter([0.0] + [60.0] * PATIENCE)

@@ -249,6 +249,15 @@ def test_what_fails_at_every_multiple_fails_for_the_reason_of_the_nearest(target
     assert failed.belief.reason.startswith("at 2.")
 
 
+def test_a_search_of_a_frame_that_states_a_gigahertz_is_bounded_and_says_so(target):
+    inner = Listener(-9.0)
+    noise = frame_of(np.random.default_rng(3).uniform(0.01, 0.14, (CAMERA.height, CAMERA.width)))
+    frame = noise.model_copy(update={"info": info(1e9)})
+    failed = PreparedAcquirer(inner, DepthPreparation(PmdInput(), target)).acquire(frame)
+    assert len(inner.tried_m) <= 32
+    assert "1000 MHz" in failed.belief.reason
+
+
 def test_a_search_around_a_pose_is_given_the_multiple_by_it(target):
     inner = Listener(9.0)
     frame = seen_by(depth_frame(target, pose_at(9.0)), MHZ_20)
