@@ -154,8 +154,7 @@ def add_edge_points(  # noqa: PLR0917
         weight = geman_mcclure(e2, c2) / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
         add_residual(sums, normal, at_m, -place, weight)
         if e2 < c2:
-            inliers += 1
-            squares += e2
+            inliers, squares = inliers + 1, squares + e2
             noise_px2 += noisy_px**2
             edge = SideEdge(normal, at_m, place, weight, before)
             shifted += _add_shifts(of_shifts, image, saturated, line, edge, counted)

@@ -142,7 +142,6 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         way = int(DIRECTIONS * (math.atan2(down, across) / math.pi + 1.0)) % DIRECTIONS
         if taken[i, j, way]:
             continue
-        taken[i, j, way] = True
         profile = Profile(u - window.column, v - window.row, across, down)
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(fitted_shade, profile, least)
@@ -152,7 +151,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         shown_by = shown_probability(contrast[count], spread, patch.noise, patch.least)
         probability[count] = shown_by if change else 0.0
         merged[count] = not fitted_change and steepest(fitted_shade, profile, MERGED_PX, least).change > 0.0
-        count += 1
+        taken[i, j, way], count = True, count + 1
     return ExpectedEdges(
         shown.pose,
         sample[:count],
