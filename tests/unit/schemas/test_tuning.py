@@ -32,7 +32,7 @@ MOST_OF_SURROUNDINGS = 10
 """For a user whose frames show other things: fields of the file of known surroundings."""
 MOST_BY_HAND = 81
 """Values that a hand fitted on emulated frames, mostly of the mock-up. It only ever falls."""
-MOST_CONSTANTS_BY_HAND = 119
+MOST_CONSTANTS_BY_HAND = 118
 """The same for numeric constants of pose estimation."""
 POSE = Path(__file__).parents[3] / "services" / "rpod_pose"
 SOURCE = re.compile(r"\b(Paper|Physics|Campaign|Numerics|Hand):\s+\S")
