@@ -1,6 +1,6 @@
 """``navigation``: NEES and NIS with their intervals over trials, availability, and handovers."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -11,10 +11,12 @@ from scipy.stats import bootstrap
 from rpod_analysis.scoring.handover import AcceptedFrames
 from rpod_analysis.scoring.score import NEES_95
 from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, millimetres, number, percent
 from rpod_campaign.engine.report.statistics import root_mean_square
 from rpod_campaign.navigation.trial import FRAME, NavigationCell
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
 
 Results = Sequence[CellResult[NavigationCell]]
@@ -37,8 +39,7 @@ def over_trials(rows: pl.DataFrame, column: str) -> Mean | None:
     Errors of a trial's frames are not independent, therefore trials are drawn, not frames (B. Efron, Annals
     of Statistics 7, 1979; the percentile method).
     """
-    known = rows.filter(pl.col(column).is_finite())
-    means = known.group_by(TRIAL, maintain_order=True).agg(pl.col(column).mean())[column].to_numpy()
+    means = means_of_trials(rows, column)
     if not means.size:
         return None
     value = float(means.mean())
@@ -48,10 +49,24 @@ def over_trials(rows: pl.DataFrame, column: str) -> Mean | None:
     return Mean(value, float(drawn.confidence_interval.low), float(drawn.confidence_interval.high))
 
 
+def means_of_trials(rows: pl.DataFrame, column: str) -> FloatArray:
+    """Return the mean of a column's finite values in each trial that has some, shape (N,)."""
+    known = rows.filter(pl.col(column).is_finite())
+    means: FloatArray = (
+        known.group_by(TRIAL, maintain_order=True).agg(pl.col(column).mean())[column].to_numpy()
+    )
+    return means
+
+
+def settled(cell: NavigationCell, rows: pl.DataFrame) -> pl.DataFrame:
+    """Return the rows that are scored."""
+    return rows.filter(pl.col("since_s") >= SETTLED_SHARE * cell.seconds)
+
+
 def summarise(cell: NavigationCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell."""
     bound = pl.col("nees_dof").replace_strict(NEES_95, return_dtype=pl.Float64)
-    scored = rows.filter(pl.col("since_s") >= SETTLED_SHARE * cell.seconds).with_columns(
+    scored = settled(cell, rows).with_columns(
         **{
             f"{name}_inside": pl.when(pl.col(name).is_finite()).then((pl.col(name) <= bound).cast(pl.Float64))
             for name in ("nees", "nis")
@@ -72,20 +87,28 @@ def summarise(cell: NavigationCell, rows: pl.DataFrame) -> dict[str, Any]:
         **{
             name: _as_json(over_trials(scored, name)) for name in ("nees", "nees_inside", "nis", "nis_inside")
         },
-        "handovers": {
-            "count": len(handovers),
-            "gap_s": max((each["gap_s"] for each in handovers), default=None),
-            **{name: max((each[name] for each in handovers), default=None) for name in _CHANGES},
-        },
+        "handovers": {"count": len(handovers), **_largest(handovers)},
     }
+
+
+def _largest(handovers: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
+    """Return the largest of each number of the handovers; None where no handover has it."""
+    found: dict[str, float | None] = {}
+    for name in ("gap_s", *_CHANGES):
+        values = [value for each in handovers if (value := each[name]) is not None]
+        found[name] = max(values, default=None)
+    return found
 
 
 def _as_json(mean: Mean | None) -> dict[str, float] | None:
     return None if mean is None else {"mean": mean.value, "low": mean.low, "high": mean.high}
 
 
-def _handovers(trial: pl.DataFrame) -> Iterator[dict[str, float]]:
-    """Yield gap, s, largest changes and jumps of the handovers of a trial, as the report of a log does."""
+def _handovers(trial: pl.DataFrame) -> Iterator[dict[str, float | None]]:
+    """Yield gap, s, largest changes and jumps of the handovers of a trial, as the report of a log does.
+
+    Changes and jumps are None without an estimate before the handover.
+    """
     accepted = AcceptedFrames()
     stamped = trial.with_columns(stamp_ns=(pl.col("time_s") * NANOSECONDS).round().cast(pl.Int64))
     for sensor, stamp_ns in stamped.filter("accepted").select("sensor", "stamp_ns").rows():
@@ -102,12 +125,24 @@ def sections(results: Results) -> list[Section]:
         "NEES: squared error by its covariance, six degrees of freedom. NIS: the same of a measurement "
         "against its prediction. Brackets are 95 % bootstrap intervals over trials. The covariance is true "
         "where the mean is 6 and 95 % are inside. Available: both protection levels are below their alert "
-        f"limits. The first {SETTLED_SHARE:.0%} of each trial are not scored."
+        f"limits. The first {100.0 * SETTLED_SHARE:g} % of each trial are not scored."
     )
     tables = [_table(results)]
     if any(result.summary["handovers"]["count"] for result in results):
         tables.append(_handover_table(results))
-    return [Section("Scenarios", note, tuple(tables))]
+    return [Section("Scenarios", note, tuple(tables), (_figure(results),))]
+
+
+def _figure(results: Results) -> Any:
+    """Return the share of the trials whose mean NEES is below a value."""
+    names = [_name(result.cell) for result in results]
+    curves = {}
+    for result, name in zip(results, names, strict=True):
+        means = np.sort(means_of_trials(settled(result.cell, result.rows), "nees"))
+        share = np.arange(1, means.size + 1) / max(means.size, 1)
+        curves[distinct(name, names) or name[0]] = (means.tolist(), share.tolist())
+    below = "share of the trials below it"
+    return curve_figure(curves, x_title="mean NEES of a trial", y_title=below, log_x=True)
 
 
 def _name(cell: NavigationCell) -> tuple[str, ...]:

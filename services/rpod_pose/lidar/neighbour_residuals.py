@@ -10,8 +10,8 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 BESIDE, RETURNED = 1, 2
-"""Flags of a ray: more than one ray away from the target's outline; its return has a residual. Numerics: one bit
-each."""
+"""Flags of a ray: more than one ray away from the target's outline; its return has a residual.
+Numerics: a bit each."""
 
 
 class NeighbourSums(NamedTuple):

@@ -5,10 +5,11 @@ import polars as pl
 import pytest
 
 from rpod.scenarios import find
+from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.navigation import trial
 from rpod_campaign.navigation.campaign import cells
 from rpod_campaign.navigation.options import Options
-from rpod_campaign.navigation.report import over_trials, summarise
+from rpod_campaign.navigation.report import over_trials, sections, summarise
 from rpod_campaign.navigation.trial import SCHEMA, NavigationCell
 from rpod_schemas.config.motion import JointMotionConfig
 from rpod_schemas.errors import ConfigurationError
@@ -68,6 +69,20 @@ def test_a_handover_is_the_first_frame_of_a_sensor_while_another_is_used():
     assert (handovers["count"], handovers["gap_s"]) == (1, 1.0)
     assert handovers["jump_m"] == 0.5  # an estimate between both frames counts too
     assert handovers["jump_deg"] == 0.1
+
+
+def test_a_handover_without_an_estimate_before_it_has_no_change():
+    unknown = dict.fromkeys(("change_deg", "change_m", "jump_deg", "jump_m"))
+    found = summarise(CELL, rows(row(0, 0, sensor="lidar", **unknown), row(0, 1, **unknown)))
+    assert (found["handovers"]["count"], found["handovers"]["jump_m"]) == (1, None)
+
+
+def test_the_report_shows_how_the_trials_are_spread():
+    frame = rows(*(row(k, frame, nees=float(k)) for k in range(10) for frame in range(4, 8)))
+    (section,) = sections([CellResult(CELL, frame, summarise(CELL, frame))])
+    (line,) = section.figures[0].data
+    assert (line.x[4], line.y[4]) == (4.0, 0.5)
+    assert [table.title for table in section.tables] == [section.tables[0].title]  # no handover, no table
 
 
 def test_a_trial_gives_estimates_that_are_scored():
