@@ -27,12 +27,14 @@ class LocalSensor:
     """A sensor that looks at a target, by its kind's registered emulator and reader."""
 
     def __init__(self, config: EmulatorConfig, sensor: SensorConfig, target: Target) -> None:
-        self._sensor, self._kind = sensor, sensor_kind(sensor.kind)
+        kind = sensor_kind(sensor.kind)
+        self._topics = {name: part.topic.of(sensor.name).name for name, part in kind.parts.items()}
+        self._info = None if kind.info is None else kind.info.of(sensor.name).name
         self._kept: dict[str, Received] = {}
         """Newest message of each topic."""
         node = local_node(lambda received: self._kept.update({received.topic.name: received}))
-        self._channel: Channel = resolve(self._kind.emulator)(node, config, sensor, target)
-        self._reader: SensorReader = open_reader(self._kind)
+        self._channel: Channel = resolve(kind.emulator)(node, config, sensor, target)
+        self._reader: SensorReader = open_reader(kind)
         self._learn_info()
 
     @property
@@ -53,8 +55,7 @@ class LocalSensor:
         self._kept.clear()
         self._channel.emulate(poses, sun_W_m2, due)()
         self._learn_info()
-        topics = {name: part.topic.of(self._sensor.name).name for name, part in self._kind.parts.items()}
-        received = {name: self._kept[topic] for name, topic in topics.items() if topic in self._kept}
+        received = {name: self._kept[topic] for name, topic in self._topics.items() if topic in self._kept}
         try:
             return self._reader.read(Assembled(due.stamp_ns, received))
         except MessageRejectedError:
@@ -62,6 +63,6 @@ class LocalSensor:
 
     def _learn_info(self) -> None:
         """Pass on the info that was published at the start or with the last frame, if there is one."""
-        info = None if self._kind.info is None else self._kept.get(self._kind.info.of(self._sensor.name).name)
+        info = None if self._info is None else self._kept.get(self._info)
         if info is not None:
             self._reader.learn(info.decode())

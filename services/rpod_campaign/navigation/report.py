@@ -18,10 +18,12 @@ from rpod_campaign.engine.report.statistics import root_mean_square
 from rpod_campaign.navigation.trial import FRAME, NavigationCell
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import Mode
 
 Results = Sequence[CellResult[NavigationCell]]
 SETTLED_SHARE = 0.25
 """Share of a trial that is not scored: the filter begins at the true pose, without an error."""
+_TRACKED = [mode.name for mode in Mode if mode.has_track]
 _CHANGES = ("change_deg", "change_m", "jump_deg", "jump_m")
 
 
@@ -80,7 +82,7 @@ def summarise(cell: NavigationCell, rows: pl.DataFrame) -> dict[str, Any]:
         "trials": rows[TRIAL].n_unique(),
         "frames": scored.height,
         "accepted_share": scored["accepted"].mean(),
-        "ends_without_track": ends.filter(pl.col("mode") != "TRACKING").height,
+        "ends_without_track": ends.filter(~pl.col("mode").is_in(_TRACKED)).height,
         "availability": scored["available"].mean(),
         "attitude_rms_deg": root_mean_square(scored["attitude_error_deg"].drop_nulls()),
         "position_rms_m": root_mean_square(scored["position_error_m"].drop_nulls()),

@@ -71,6 +71,12 @@ def test_a_handover_is_the_first_frame_of_a_sensor_while_another_is_used():
     assert handovers["jump_deg"] == 0.1
 
 
+@pytest.mark.parametrize(("mode", "ends"), [("TRACKING", 0), ("COASTING", 0), ("LOST", 1), ("VERIFYING", 1)])
+def test_a_trial_that_coasts_at_its_end_has_a_track(mode, ends):
+    found = summarise(CELL, rows(row(0, 7, mode="LOST"), row(0, 8, mode=mode)))
+    assert found["ends_without_track"] == ends
+
+
 def test_a_handover_without_an_estimate_before_it_has_no_change():
     unknown = dict.fromkeys(("change_deg", "change_m", "jump_deg", "jump_m"))
     found = summarise(CELL, rows(row(0, 0, sensor="lidar", **unknown), row(0, 1, **unknown)))
