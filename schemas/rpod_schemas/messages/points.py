@@ -30,12 +30,7 @@ def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
     they were sent, in any of ROS's numeric types and under the names that drivers use. Times whose meaning is
     unknown are left out. Fields that are float32 are views.
     """
-    row = message.point_step * message.width
-    if message.row_step < row or message.data.size < message.row_step * (message.height - 1) + row:
-        raise MessageRejectedError(
-            Reason.WRONG_SIZE,
-            f"{message.width} x {message.height} points of {message.point_step} in {message.data.size} bytes",
-        )
+    _check_size(message)
     if 0 in (message.width, message.height):
         raise MessageRejectedError(Reason.EMPTY, "a cloud of no points")
     within(SCAN_DIRECTIONS, "number of points", message.width * message.height)
@@ -56,6 +51,26 @@ def read_points(message: Any) -> dict[str, NDArray[np.float32]]:
         if time_s is not None:
             fields["t"] = within_scan(time_s)
     return fields
+
+
+def _check_size(message: Any) -> None:
+    """Raise an error if a cloud's data are shorter than its points; the row_step of one row is not read.
+
+    velodyne_pointcloud left it at 0 until 2021, as did others.
+    """
+    row = message.point_step * message.width
+    row_step = message.row_step if message.height > 1 else row
+    if row_step < row:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE,
+            f"row_step is {row_step:,} bytes, needs {row:,} or more (width {message.width:,} times point_step"
+            f" {message.point_step}): let its driver set row_step, or send one row (height 1)",
+        )
+    if message.data.size < row_step * (message.height - 1) + row:
+        raise MessageRejectedError(
+            Reason.WRONG_SIZE,
+            f"{message.width} x {message.height} points of {message.point_step} in {message.data.size} bytes",
+        )
 
 
 def time_field(message: Any) -> Any | None:

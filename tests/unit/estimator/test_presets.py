@@ -1,22 +1,35 @@
-"""The shipped presets: each is loaded, and a frame in its driver's layout is played through the port."""
+"""The shipped presets: each is loaded, and a frame in its driver's layout is played through the port.
 
+The clouds of tests/recordings/point_clouds were written by open tools; README.md there tells how.
+"""
+
+import runpy
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from rpod_estimator.frame_reader import FrameReader
+from rpod_pose.methods import methods_of
 from rpod_runtime import Received
+from rpod_runtime.frames import PartRejectedError
 from rpod_schemas.config.base import check
-from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.estimator import EstimatorConfig, LidarInput
 from rpod_schemas.messages import write_camera, write_header, write_image
-from rpod_schemas.rmw.cdr import encode, message_class
+from rpod_schemas.rmw.cdr import decode, encode, message_class
 from rpod_schemas.rmw.wire import Attachment
 from rpod_schemas.topics import Topic
 from rpod_schemas.types import Camera
+from rpod_target import load_target
 
 FOLDER = Path(__file__).parents[3] / "deploy" / "sensors"
+CLOUDS = Path(__file__).parents[2] / "recordings" / "point_clouds"
+SEEN = SimpleNamespace(**runpy.run_path(str(CLOUDS / "packets.py")))
+"""The scene of the clouds: the mock-up moves."""
 STAMP_NS = 1_700_000_000_250_000_000
 CAMERA = Camera(width=60, height=40, fx=50.0, fy=51.0, cx=29.5, cy=19.5)
 WIDE = CAMERA.model_copy(update={"distortion": np.array([5.26, 3.55, 4e-5, -9e-5, 0.18, 5.59, 5.41, 0.95])})
@@ -142,3 +155,58 @@ def test_a_lidar_of_a_preset_is_read(name):
         np.degrees(np.abs(np.median(np.diff(info.elevation_rad)))),
     )
     np.testing.assert_allclose(steps, [2.0, 2.0], rtol=0.05)
+
+
+def recorded(name):
+    return decode((CLOUDS / f"{name}.cdr").read_bytes(), "sensor_msgs/msg/PointCloud2")
+
+
+def beside_the_surface_m(points_m):
+    """Return the distance of points to the mock-up's surface, target axes."""
+    field = load_target("mockup").require_field()
+    axes = [
+        origin + field.spacing_m * np.arange(count)
+        for origin, count in zip(field.origin_m, field.values.shape, strict=True)
+    ]
+    return RegularGridInterpolator(axes, field.values)(points_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "preset", "returns", "off_deg", "off_m"),
+    [
+        ("velodyne", "velodyne", 210, 0.6, 0.005),
+        ("velodyne-decoder", "velodyne", 210, 0.6, 0.005),
+        ("hesai", "hesai", 455, 0.3, 0.030),  # measured 25 ms before its stamp, at 1 m/s
+        ("livox", "livox", 162, 2.5, 0.020),  # takes 0.1 s
+    ],
+)
+def test_a_cloud_of_open_tools_shows_the_moving_mockup_at_the_time_of_each_point(
+    name, preset, returns, off_deg, off_m
+):
+    measurement, info = played("lidar", preset, {"points": recorded(name)})
+    scan = measurement.data
+    points_m = scan.points_m.reshape(-1, 3).astype(float)
+    hit = np.isfinite(points_m).all(axis=1) & points_m.any(axis=1)
+    assert hit.sum() == returns
+    stamp_s = measurement.stamp_ns * 1e-9 - SEEN.BEGIN_S
+    since_s = stamp_s + scan.time_s.reshape(-1)[hit]
+    seen_m = measurement.T_chaser_sensor.apply(points_m[hit])
+    beside_m = beside_the_surface_m((seen_m - SEEN.origin_m(since_s)) @ SEEN.rotation())
+    assert np.abs(beside_m).max() < 0.004
+    assert np.sqrt(np.mean(beside_m**2)) < 0.001  # 5 ms are 2 to 3 mm
+    found = methods_of(LidarInput(), load_target("mockup"), info).acquirer.acquire(scan)
+    assert found.begins_track, found.belief.refusal
+    pose = measurement.T_chaser_sensor * found.pose
+    turned = Rotation.from_matrix(SEEN.rotation()).inv() * pose.rotation
+    assert np.degrees(turned.magnitude()) < off_deg
+    assert np.linalg.norm(pose.translation - SEEN.origin_m(stamp_s)) < off_m
+
+
+def test_a_row_step_of_0_is_read_in_a_single_row_alone():
+    """velodyne_pointcloud left it at 0 until 2021 (its pull request 404)."""
+    message = recorded("velodyne")
+    message.row_step = 0
+    assert played("lidar", "velodyne", {"points": message})[0].data.points_m.shape == (210, 3)
+    message.height, message.width = 2, 105
+    with pytest.raises(PartRejectedError, match=r"row_step is 0 bytes, needs 2,310 or more .* set row_step"):
+        played("lidar", "velodyne", {"points": message})
