@@ -65,27 +65,30 @@ def covariance_at(covariance: FloatArray, arm_m: FloatArray) -> FloatArray:
 
 def between(first: RigidTransform, second: RigidTransform, share: float) -> RigidTransform:
     """Return the pose at a share of the way: linear in position, on the shortest arc in attitude."""
-    R = rotation_matrix(first)
-    step = Rotation.from_matrix(R.T @ rotation_matrix(second), assume_valid=True).as_rotvec()
-    position_m = (1.0 - share) * first.translation + share * second.translation
-    return pose_of(R @ Rotation.from_rotvec(share * step).as_matrix(), position_m)
+    way = matrices_between(first.as_matrix()[None], second.as_matrix()[None], np.array([share]))
+    return RigidTransform(way[0], normalize=False, copy=False)
 
 
-def places_between(first: FloatArray, second: FloatArray, shares: FloatArray) -> FloatArray:
+def matrices_between(first: FloatArray, second: FloatArray, shares: FloatArray) -> FloatArray:
     """Return the matrices of many poses at shares of their ways, like ``between``, shape (N, 4, 4).
 
     Args:
-        first: quaternion x, y, z, w and translation of each first pose, shape (N, 7), m.
-        second: those of each second pose, same shape.
+        first: matrices of the first poses, shape (N, 4, 4).
+        second: those of the second ones, same shape.
         shares: shape (N,).
     """
-    R = Rotation.from_quat(first[:, :4]).as_matrix()
-    relative = R.transpose(0, 2, 1) @ Rotation.from_quat(second[:, :4]).as_matrix()
-    step = Rotation.from_matrix(relative, assume_valid=True).as_rotvec()
-    share, matrices = shares[:, None], np.zeros((len(shares), 4, 4))
-    matrices[:, :3, :3] = R @ Rotation.from_rotvec(share * step).as_matrix()
-    matrices[:, :3, 3] = (1.0 - share) * first[:, 4:] + share * second[:, 4:]
-    matrices[:, 3, 3] = 1.0
+    R, share = first[:, :3, :3], shares[:, None]
+    relative = R.transpose(0, 2, 1) @ second[:, :3, :3]
+    turn = share * Rotation.from_matrix(relative, assume_valid=True).as_rotvec()
+    return matrices_of(
+        R @ Rotation.from_rotvec(turn).as_matrix(), (1.0 - share) * first[:, :3, 3] + share * second[:, :3, 3]
+    )
+
+
+def matrices_of(R: FloatArray, t_m: FloatArray) -> FloatArray:
+    """Return the matrices of poses, shape (N, 4, 4), of rotation matrices (N, 3, 3) and places (N, 3)."""
+    matrices = np.zeros((len(t_m), 4, 4))
+    matrices[:, :3, :3], matrices[:, :3, 3], matrices[:, 3, 3] = R, t_m, 1.0
     return matrices
 
 

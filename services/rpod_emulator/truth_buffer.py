@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_emulator.errors import TruthGapError
 from rpod_runtime import Received
+from rpod_schemas.arrays import FloatArray
 from rpod_schemas.errors import MessageRejectedError, Reason
 from rpod_schemas.messages import NANOSECONDS, read_place
-from rpod_schemas.poses import places_between
+from rpod_schemas.poses import matrices_between, matrices_of
 from rpod_schemas.rmw.cdr import peek_stamp
 
 MAX_GAP_S = 0.008
@@ -73,12 +74,16 @@ class TruthBuffer:
             TruthGapError: the samples around a stamp are too far apart, or missing.
         """
         around = [self._around(stamp_ns) for stamp_ns in stamps_ns]
-        first = np.array([self._places[before] for before, _, _ in around])
-        second = np.array([self._places[after] for _, after, _ in around])
-        matrices = places_between(first, second, np.array([share for _, _, share in around]))
+        first = self._matrices([before for before, _, _ in around])
+        second = self._matrices([after for _, after, _ in around])
+        matrices = matrices_between(first, second, np.array([share for _, _, share in around]))
         if T_sensor_chaser is not None:
             matrices = T_sensor_chaser.as_matrix() @ matrices
         return list(RigidTransform(matrices, normalize=False, copy=False))
+
+    def _matrices(self, samples: Sequence[int]) -> FloatArray:
+        places = np.array([self._places[each] for each in samples])
+        return matrices_of(Rotation.from_quat(places[:, :4]).as_matrix(), places[:, 4:])
 
     def _around(self, stamp_ns: int) -> tuple[int, int, float]:
         """Return the samples before and after a stamp, and its share of the way between them."""

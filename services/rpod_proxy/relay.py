@@ -67,11 +67,7 @@ class Relay:
             return
         _keep_small(writer.get_extra_info("socket"))
         try:
-            onward = socket.socket()
-            _keep_small(onward)
-            onward.setblocking(False)
-            await asyncio.get_running_loop().sock_connect(onward, self._target)
-            reader_2, writer_2 = await asyncio.open_connection(sock=onward, limit=_BUFFER_BYTES)
+            reader_2, writer_2 = await self._connected()
         except OSError:
             writer.transport.abort()
             return
@@ -87,6 +83,18 @@ class Relay:
             for each in both:
                 self._writers.discard(each)
                 each.transport.abort()
+
+    async def _connected(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """Return a connection to the router. Raises ``OSError``; no socket stays open then."""
+        onward = socket.socket()
+        try:
+            _keep_small(onward)
+            onward.setblocking(False)
+            await asyncio.get_running_loop().sock_connect(onward, self._target)
+            return await asyncio.open_connection(sock=onward, limit=_BUFFER_BYTES)
+        except BaseException:
+            onward.close()
+            raise
 
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pass one direction on until either side closes."""

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import pose_error
 
 FREE_SIGMA_RAD = pi / sqrt(3.0)
 """Standard deviation of an angle that is uniform over a turn: 104 deg."""
@@ -120,6 +121,14 @@ class Equivalence:
         """Return, among the poses equivalent to a given one, the one nearest to a found one."""
         rotation = self.nearest(pose.rotation, found.rotation)
         return RigidTransform.from_components(pose.translation, rotation)
+
+    def error_of(self, found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
+        """Return the attitude error, deg, and the position error, m, against the nearest equivalent pose.
+
+        About a free axis no angle is an error.
+        """
+        attitude_rad, position_m = pose_error(self.nearest_pose(truth, found), found)
+        return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
 
     def _turned_onto(self, attitudes: Rotation, found: Rotation) -> Rotation:
         """Return attitudes, turned about the free axis alone to be nearest to found ones; one or N each."""

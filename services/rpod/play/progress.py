@@ -21,7 +21,7 @@ from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.errors import MessageRejectedError
 from rpod_schemas.messages import NANOSECONDS, read_diagnostics, read_status, read_transforms
-from rpod_schemas.poses import between, pose_error
+from rpod_schemas.poses import between
 from rpod_schemas.texts import is_count, shown
 from rpod_schemas.topics import DIAGNOSTICS, STATUS, TARGET, TARGET_ESTIMATE, TF
 from rpod_schemas.types import Diagnostic, Health, Mode
@@ -149,9 +149,7 @@ class Progress:
         elif child == TARGET_ESTIMATE:
             truth = self._truth_at(stamp_ns)
             if truth is not None:
-                attitude_rad, position_m = pose_error(self._alike.nearest_pose(truth, pose), pose)
-                seen.attitude_deg = float(np.rad2deg(np.linalg.norm(attitude_rad)))
-                seen.position_m = float(np.linalg.norm(position_m))
+                seen.attitude_deg, seen.position_m = self._alike.error_of(pose, truth)
 
     def _truth_at(self, stamp_ns: int) -> RigidTransform | None:
         samples = list(self._seen.truth)

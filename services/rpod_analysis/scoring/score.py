@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import matrices_between
 from rpod_target import NO_SYMMETRY, Equivalence
 
 IntArray = NDArray[np.int64]
@@ -110,19 +111,16 @@ def interpolate(
     known_ns, first = np.unique(truth.stamp_ns, return_index=True)
     if known_ns.size == 0:
         return RigidTransform.identity(stamp_ns.size), np.zeros(stamp_ns.size, bool)
-    poses = truth.poses[first]
+    poses = truth.poses.as_matrix()[first]
     after = np.searchsorted(known_ns, stamp_ns).clip(0, known_ns.size - 1)
     exact = known_ns[after] == stamp_ns
     before = np.where(exact, after, (after - 1).clip(0))
     gap_ns = known_ns[after] - known_ns[before]
     inside = (known_ns[before] < stamp_ns) & (stamp_ns < known_ns[after])
-    share = np.where(inside, (stamp_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)[:, None]
-    a, b = poses[before], poses[after]
-    turn = (a.rotation.inv() * b.rotation).as_rotvec()
-    rotation = a.rotation * Rotation.from_rotvec(share * turn)
-    translation = a.translation + share * (b.translation - a.translation)
+    share = np.where(inside, (stamp_ns - known_ns[before]) / np.maximum(gap_ns, 1), 0.0)
+    matrices = matrices_between(poses[before], poses[after], share)
     known = exact | (inside & (gap_ns <= most_gap_ns))
-    return RigidTransform.from_components(translation, rotation), known
+    return RigidTransform(matrices, normalize=False, copy=False), known
 
 
 def interpolate_covariance(truth: Track, stamp_ns: IntArray) -> FloatArray | None:

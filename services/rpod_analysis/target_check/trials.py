@@ -194,9 +194,9 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
         text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
         return _Trial(condition.name, range_m, "refused", False, None, None, text, 0.0)
     took_s = time.perf_counter() - begin_s
-    attitude_deg, position_m = error_of(answer.pose, truth, target)
+    attitude_deg, position_m = _error(answer.pose, truth, target)
     right = _is_right(attitude_deg, position_m, target)
-    listed = [error_of(each.pose, truth, target) for each in answer.hypotheses]
+    listed = [_error(each.pose, truth, target) for each in answer.hypotheses]
     if accepted:
         result: Result = "right" if right else "wrong"
     else:
@@ -222,17 +222,9 @@ def _measured(frame: SensorFrame) -> bool:
     return not depth or int(np.isfinite(depth[0]).sum()) >= _FEWEST_PIXELS
 
 
-def error_of(found: RigidTransform | None, truth: RigidTransform, target: Target) -> tuple[float, float]:
-    """Return errors of attitude, deg, and position, m, modulo exact symmetries; inf without a pose.
-
-    About a free axis no angle is an error.
-    """
-    if found is None:
-        return np.inf, np.inf
-    same = target.equivalence.nearest(truth.rotation, found.rotation)
-    angle_rad = (same.inv() * found.rotation).magnitude()
-    offset_m = np.linalg.norm(truth.translation - found.translation)
-    return float(np.degrees(angle_rad)), float(offset_m)
+def _error(found: RigidTransform | None, truth: RigidTransform, target: Target) -> tuple[float, float]:
+    """Return errors of attitude, deg, and position, m, modulo exact symmetries; inf without a pose."""
+    return (np.inf, np.inf) if found is None else target.equivalence.error_of(found, truth)
 
 
 def _is_right(attitude_deg: float, position_m: float, target: Target) -> bool:

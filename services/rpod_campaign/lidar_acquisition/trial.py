@@ -6,11 +6,10 @@ from typing import Any
 
 from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.lidar.acquiring import SCHEMA, acquired
+from rpod_campaign.lidar.acquiring import SCHEMA, Bench
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_campaign.lidar.scene import emulator_of
 from rpod_schemas.config.emulator import WorldName
-from rpod_sim_sensor.lidar import LidarEmulator
 
 __all__ = ["SCHEMA", "AcquisitionCell", "run"]
 
@@ -42,17 +41,17 @@ class AcquisitionCell:
 
 def run(cell: AcquisitionCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial."""
-    emulator, acquiring = _bench(cell, seed)
-    drawn = random_pose(cell.target, range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
-    return acquired(acquiring, emulator, drawn, trial=trial)
+    return _bench(cell, seed).acquired(range_m=cell.range_m, sampling=cell.sampling, seed=seed, trial=trial)
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: AcquisitionCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+def _bench(cell: AcquisitionCell, seed: int) -> Bench:
     lidar = lidar_config(eq4=cell.eq4)
     sensor = lidar_input(
         cell.method, step_deg=cell.step_deg, centroid=cell.centroid, matcher=cell.matcher, eq4=cell.eq4
     )
     acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
     things = surroundings(cell.surroundings, cached_target(cell.target), (cell.range_m, cell.range_m))
-    return emulator_of(cell.target, lidar, seed, world=cell.world, things=things), acquiring
+    return Bench(
+        cell.target, emulator_of(cell.target, lidar, seed, world=cell.world, things=things), acquiring
+    )

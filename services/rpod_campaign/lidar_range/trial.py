@@ -6,12 +6,11 @@ from math import asin, ceil, degrees
 from typing import Any
 
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.lidar.acquiring import SCHEMA, acquired
+from rpod_campaign.lidar.acquiring import SCHEMA, Bench
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_campaign.lidar.scene import emulator_of
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.lidar import LidarConfig
-from rpod_sim_sensor.lidar import LidarEmulator
 
 __all__ = ["SCHEMA", "RangeCell", "lidar_of", "run", "window_deg"]
 
@@ -58,13 +57,11 @@ def lidar_of(cell: RangeCell) -> LidarConfig:
 
 def run(cell: RangeCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes Euler-uniform."""
-    emulator, acquiring = _bench(cell, seed)
-    drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
-    return acquired(acquiring, emulator, drawn, trial=trial)
+    return _bench(cell, seed).acquired(range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
 
 
 @lru_cache(maxsize=2)
-def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+def _bench(cell: RangeCell, seed: int) -> Bench:
     lidar = lidar_of(cell)
     sensor = lidar_input(
         cell.method,
@@ -73,4 +70,4 @@ def _bench(cell: RangeCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
         matcher="nearest-neighbour",
     )
     acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, world=cell.world), acquiring
+    return Bench(cell.target, emulator_of(cell.target, lidar, seed, world=cell.world), acquiring)

@@ -6,11 +6,10 @@ from functools import lru_cache
 from typing import Any
 
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.lidar.acquiring import SCHEMA, acquired
+from rpod_campaign.lidar.acquiring import SCHEMA, Bench
 from rpod_campaign.lidar.methods import Acquiring, lidar_config, lidar_input, pattern_of
-from rpod_campaign.lidar.scene import emulator_of, random_pose
+from rpod_campaign.lidar.scene import emulator_of
 from rpod_schemas.config.emulator import WorldName
-from rpod_sim_sensor.lidar import LidarEmulator
 
 __all__ = ["DISTURBANCES", "NOMINAL", "SCHEMA", "RobustnessCell", "run"]
 
@@ -60,15 +59,17 @@ class RobustnessCell:
 
 def run(cell: RobustnessCell, seed: int, trial: int) -> dict[str, Any]:
     """Return the row of one trial; attitudes Euler-uniform, the same in every disturbance."""
-    emulator, acquiring = _bench(cell, seed)
-    drawn = random_pose(cell.target, range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
-    return acquired(acquiring, emulator, drawn, trial=trial)
+    return _bench(cell, seed).acquired(range_m=cell.range_m, sampling="euler", seed=seed, trial=trial)
 
 
 @lru_cache(maxsize=4)
-def _bench(cell: RobustnessCell, seed: int) -> tuple[LidarEmulator, Acquiring]:
+def _bench(cell: RobustnessCell, seed: int) -> Bench:
     disturbance = DISTURBANCES[cell.disturbance]
     lidar = lidar_config(detection=disturbance.detection, noise=disturbance.noise)
     sensor = lidar_input(cell.method, step_deg=cell.step_deg, centroid="offset", matcher="nearest-neighbour")
     acquiring = Acquiring(sensor, cached_target(cell.model or cell.target), pattern_of(lidar))
-    return emulator_of(cell.target, lidar, seed, world=cell.world, scale=disturbance.scale), acquiring
+    return Bench(
+        cell.target,
+        emulator_of(cell.target, lidar, seed, world=cell.world, scale=disturbance.scale),
+        acquiring,
+    )

@@ -139,29 +139,20 @@ POSITION_ERRORS = {
 }
 """Average errors of the centroid along x, y, z of the sensor, m, by success and step in deg (Table 3)."""
 
-
-class Costs(NamedTuple):
-    """A row of Table 4, m2."""
-
-    failure_min: float
-    failure_mean: float
-    success_max: float
-    success_mean: float
-
-
 COSTS = {
-    StepKey(TM, 10.0): Costs(0.1882, 1.4620, 0.0023, 0.0012),
-    StepKey(TM, 20.0): Costs(0.1882, 1.4738, 0.0023, 0.0012),
-    StepKey(TM, 30.0): Costs(0.1852, 1.5309, 0.0023, 0.0012),
-    StepKey(TM, 40.0): Costs(0.1539, 1.3478, 0.0026, 0.0012),
-    StepKey(TM, 60.0): Costs(0.1254, 1.6681, 0.0029, 0.0013),
-    StepKey(FAST_TM, 10.0): Costs(0.3086, 1.5513, 0.0023, 0.0012),
-    StepKey(FAST_TM, 20.0): Costs(0.3513, 1.6901, 0.1702, 0.0022),
-    StepKey(FAST_TM, 30.0): Costs(0.1254, 1.4034, 0.0023, 0.0012),
-    StepKey(FAST_TM, 40.0): Costs(0.1539, 1.4273, 0.0027, 0.0013),
-    StepKey(FAST_TM, 60.0): Costs(0.1254, 1.7980, 0.0026, 0.0012),
+    StepKey(TM, 10.0): (0.1882, 1.4620, 0.0023, 0.0012),
+    StepKey(TM, 20.0): (0.1882, 1.4738, 0.0023, 0.0012),
+    StepKey(TM, 30.0): (0.1852, 1.5309, 0.0023, 0.0012),
+    StepKey(TM, 40.0): (0.1539, 1.3478, 0.0026, 0.0012),
+    StepKey(TM, 60.0): (0.1254, 1.6681, 0.0029, 0.0013),
+    StepKey(FAST_TM, 10.0): (0.3086, 1.5513, 0.0023, 0.0012),
+    StepKey(FAST_TM, 20.0): (0.3513, 1.6901, 0.1702, 0.0022),
+    StepKey(FAST_TM, 30.0): (0.1254, 1.4034, 0.0023, 0.0012),
+    StepKey(FAST_TM, 40.0): (0.1539, 1.4273, 0.0027, 0.0013),
+    StepKey(FAST_TM, 60.0): (0.1254, 1.7980, 0.0026, 0.0012),
 }
-"""Costs f_CONV over the trajectory, m2 (Table 4)."""
+"""Costs f_CONV over the trajectory, m2: least and mean of the failures, greatest and mean of the successes
+(Table 4)."""
 
 COSTS_IN_PROSE = Printed(
     "successes a few square millimetres, failures from 10 square centimetres (Fig. 9); Table 4 contradicts "

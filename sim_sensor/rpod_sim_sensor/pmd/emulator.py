@@ -13,6 +13,7 @@ from rpod_geometry.rays import Hits, RayGrid, cast, cast_triangles
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import SAMPLES, PmdConfig
 from rpod_schemas.config.surroundings import Thing
+from rpod_schemas.poses import between
 from rpod_schemas.types import Float32Array
 from rpod_sim_sensor.errors import SimSensorError
 from rpod_sim_sensor.noise import noise_stream
@@ -142,7 +143,7 @@ class PmdEmulator:
 
     def _light(self, poses: Sequence[RigidTransform], sun_W_m2: FloatArray) -> Light:
         middle = len(poses) // 2
-        T_middle = _between(poses[middle - 1], poses[middle])
+        T_middle = between(poses[middle - 1], poses[middle], 0.5)
         moving_m, closed = self._seen.moving.triangles_m, self._seen.is_closed
         if not len(self._seen.still_m):
             cast_triangles(self._rays, moving_m, T_middle, out=self._hits, cull=closed)
@@ -177,8 +178,3 @@ def _pool(generator: Generator, world: World) -> Float32Array:
     if world.noise == DOCUMENTED.noise:
         return generator.standard_normal(_POOL, np.float32)
     return world.noise.draw(generator, _POOL).astype(np.float32)
-
-
-def _between(first: RigidTransform, second: RigidTransform) -> RigidTransform:
-    """Return the pose halfway between two; the rotation is the nearest to the mean of both matrices."""
-    return RigidTransform.from_matrix(0.5 * (first.as_matrix() + second.as_matrix()))

@@ -10,7 +10,6 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from rpod_analysis.target_check.likeness import _consistent, checked_symmetries
-from rpod_analysis.target_check.trials import error_of
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
 from rpod_target.drafting.draft import DraftOptions, draft
@@ -153,8 +152,8 @@ def test_about_a_free_axis_no_angle_is_an_error(stage: tuple[Target, str]) -> No
     spun = make_pose(translation_m=[0.0, 0.0, 6.0], rotation=about_z)
     tilt = Rotation.from_rotvec([np.radians(5.0), 0.0, 0.0])
     tilted = make_pose(translation_m=[0.0, 0.0, 6.1], rotation=tilt * about_z)
-    assert error_of(spun, truth, target)[0] == pytest.approx(0.0, abs=1e-5)
-    assert error_of(tilted, truth, target) == (pytest.approx(5.0), pytest.approx(0.1))
+    assert target.equivalence.error_of(spun, truth)[0] == pytest.approx(0.0, abs=1e-5)
+    assert target.equivalence.error_of(tilted, truth) == (pytest.approx(5.0), pytest.approx(0.1))
 
 
 def half_turn(axis: tuple[float, float, float], *, exact: bool, log_likelihood: float) -> FoundSymmetry:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.target_check.conditions import conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
-from rpod_analysis.target_check.trials import error_of, try_methods
+from rpod_analysis.target_check.trials import try_methods
 from rpod_pose.lidar.methods import LIDAR_METHODS
 from rpod_pose.methods import methods_of
 from rpod_pose.pmd.depth_preparation import DepthPreparation
@@ -183,9 +183,9 @@ def test_the_frames_of_a_check_are_the_same_each_time(target: Target) -> None:
 def test_an_exact_symmetry_is_no_error(target: Target) -> None:
     truth = make_pose(translation_m=[0.0, 0.0, 5.0])
     half = truth * RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi]))
-    assert error_of(half, truth, target)[0] == pytest.approx(180.0)
+    assert target.equivalence.error_of(half, truth)[0] == pytest.approx(180.0)
     same = replace(target, symmetries=(Symmetry((0.0, 0.0, 1.0), 2, exact=True),))
-    assert error_of(half, truth, same)[0] == pytest.approx(0.0, abs=1e-6)
+    assert same.equivalence.error_of(half, truth)[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_camera_s_distances_are_unwrapped_before_its_methods(
@@ -242,5 +242,5 @@ def test_a_body_whose_symmetries_are_all_declared_is_found(tmp_path: Path, body:
     frame = emulated.frame(near.T_sensor_target, sun_W_m2=near.sun_W_m2, number=1)
     found = acquirer.acquire(frame)
     assert found.begins_track
-    assert error_of(found.pose, near.T_sensor_target, target)[0] < 4.0
+    assert target.equivalence.error_of(found.pose, near.T_sensor_target)[0] < 4.0
     assert len(found.hypotheses) == (24 if body == "cube" else 2)

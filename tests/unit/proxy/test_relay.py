@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+from pathlib import Path
 
 import pytest
 
@@ -184,3 +185,15 @@ def test_faults_without_end_are_refused_until_some_are_over():
         plan.request(asked, SECOND_NS)
     plan.request(asked, 3 * SECOND_NS)
     assert len(plan.active(3 * SECOND_NS)) == 1
+
+
+def test_a_router_that_refuses_leaves_no_socket_open():
+    async def body(_) -> None:
+        refused = Relay(("127.0.0.1", free_port()), ("127.0.0.1", free_port()))
+        before = len(list(Path("/proc/self/fd").iterdir()))
+        with pytest.raises(ConnectionRefusedError) as refusal:  # holds what the failed call had
+            await refused._connected()
+        assert refusal
+        assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+    play(body)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rpod_analysis.scoring.score import BoolArray, IntArray
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.poses import matrices_between, matrices_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,21 +56,18 @@ class Interpolated:
         self._poses = poses
         self._origin_ns = int(poses.stamp_ns[0])
         self._time_s = 1e-9 * (poses.stamp_ns - self._origin_ns)
-        R = Rotation.from_matrix(poses.R)
-        self._R = R[:-1]
-        self._turn_rad = (R[:-1].inv() * R[1:]).as_rotvec()
+        self._matrices = matrices_of(poses.R, poses.t_m)
 
     def at(self, stamp_ns: IntArray, later_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotation matrices, (M, 3, 3), and positions, (M, 3), at stamps moved by times, (M,) each."""
         before, share = self._place(stamp_ns, later_s)
-        R = (self._R[before] * Rotation.from_rotvec(share * self._turn_rad[before])).as_matrix()
-        t_m = self._poses.t_m
-        return R, (1.0 - share) * t_m[before] + share * t_m[before + 1]
+        matrices = matrices_between(self._matrices[before], self._matrices[before + 1], share)
+        return matrices[:, :3, :3], matrices[:, :3, 3]
 
     def covariance_at(self, stamp_ns: IntArray, later_s: FloatArray) -> FloatArray:
         """Return the covariances, shape (M, 6, 6), as if the errors of neighbours were the same."""
         before, share = self._place(stamp_ns, later_s)
-        share, known = share[:, :, None], self._poses.covariance
+        share, known = share[:, None, None], self._poses.covariance
         mixed: FloatArray = (1.0 - share) * known[before] + share * known[before + 1]
         return mixed
 
@@ -78,4 +75,4 @@ class Interpolated:
         time_s = 1e-9 * (stamp_ns - self._origin_ns) + later_s
         before = (np.searchsorted(self._time_s, time_s) - 1).clip(0, self._time_s.size - 2)
         step_s = self._time_s[before + 1] - self._time_s[before]
-        return before, ((time_s - self._time_s[before]) / step_s)[:, None]
+        return before, (time_s - self._time_s[before]) / step_s

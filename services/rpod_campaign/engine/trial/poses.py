@@ -6,7 +6,6 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.scoring.score import find_nees
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.poses import pose_error
 from rpod_target import Target
 
 POSE = pl.List(pl.Float64)
@@ -23,14 +22,11 @@ def numbers(pose: RigidTransform | None) -> list[float] | None:
 def errors(
     truth: RigidTransform, found: RigidTransform | None, target: Target
 ) -> tuple[float | None, float | None]:
-    """Return the attitude error, deg, and the position error, m; None without a pose.
+    """Return the attitude error, deg, and the position error, m, modulo exact symmetries.
 
-    For a target with an exact symmetry, the errors are those against the nearest equivalent pose.
+    Without a pose both are None.
     """
-    if found is None:
-        return None, None
-    attitude_rad, position_m = pose_error(target.equivalence.nearest_pose(truth, found), found)
-    return float(np.rad2deg(np.linalg.norm(attitude_rad))), float(np.linalg.norm(position_m))
+    return (None, None) if found is None else target.equivalence.error_of(found, truth)
 
 
 def nees_of(
