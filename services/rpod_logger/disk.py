@@ -110,7 +110,9 @@ def _allocate(directory: Path, size: int) -> IO[bytes]:
 
 def _sync_directory(directory: Path) -> None:
     """Make a new file name survive a power failure, if the file system supports that."""
-    descriptor = os.open(directory, os.O_RDONLY)
     with suppress(OSError):
-        os.fsync(descriptor)
-    os.close(descriptor)
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -103,12 +103,16 @@ class LogFile:
         self.pending: Counter[str] = Counter()
         """Number of messages in the open chunk, which is not in the file yet, by topic."""
         self._dirty = True
-        self._writer.start(profile=PROFILE, library=settings.library)
+        try:
+            self._writer.start(profile=PROFILE, library=settings.library)
+        except BaseException:
+            self.abandon()
+            raise
 
     def _begin_chain(self, before: Path | None) -> ChainWriter:
         try:
             chain = ChainWriter(self.path, key=self._settings.key, continues=before)
-        except OSError:  # also where the chain of a log that was deleted is still there
+        except BaseException:  # also where the chain of a log that was deleted is still there
             self._disk.close()
             self.path.unlink(missing_ok=True)
             raise

@@ -58,6 +58,11 @@ def test_a_simulated_camera_is_connected_read_and_connected_again(caplog):
         ({"settings": {"PixelFormat": "Mono99"}}, "it takes RGBa8, Mono8"),
         ({"trigger": "software"}, "no feature 'TriggerSelector'"),
         ({"select": {}}, r"several cameras \(Viky 0; Viky 1; Viky 2\)"),
+        (
+            {"select": {"serial_number": "7"}},
+            r"device\.select .*'7'.* describes none of .*Viky 0; .*; correct it",
+        ),
+        ({"select": {"model": "Viky"}}, r"device\.select .* describes 3 of the cameras"),
         ({"producer": "/opt/none.cti"}, "which is no file"),
         ({"calibration": None}, "no Scan3dFocalLength"),
         ({"calibration": LENS | {"width": 640}}, "640 x 400 pixels, the camera sends 400 x 400"),

@@ -51,7 +51,7 @@ def test_several_buffers_in_one_file_are_several_frames():
     ],
 )
 def test_a_damaged_recording_is_refused_with_the_place(content, reason):
-    with pytest.raises(RecordingError, match=reason):
+    with pytest.raises(RecordingError, match=rf"{reason}.*; correct device\.recording, or record it again"):
         list(buffers(content, "recorded"))
 
 

@@ -1,5 +1,6 @@
 """One MCAP file, read back by three independent readers."""
 
+import errno
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -142,6 +143,18 @@ def test_a_file_sorts_behind_all_earlier_ones_of_its_name_whichever_are_left(tmp
             (tmp_path / "run_0004.mcap").unlink()
     names = sorted(path.name for path in tmp_path.glob("run*.mcap"))
     assert names == [*(f"run_{number:04d}.mcap" for number in (2, 3, *range(5, 13))), "run_later.mcap"]
+
+
+def test_a_log_that_cannot_begin_leaves_no_file_open(tmp_path, monkeypatch):
+    def refused(*_, **__):
+        raise OSError(errno.EIO, "input/output error")
+
+    monkeypatch.setattr(writer.Writer, "start", refused)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(OSError, match="input/output") as refusal:  # holds what the failed call had
+        create_log(tmp_path, "run", replace(SETTINGS, chained=True))
+    assert refusal
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_a_chain_whose_log_was_deleted_leaves_no_empty_log(tmp_path, arrive):

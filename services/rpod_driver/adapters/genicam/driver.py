@@ -58,7 +58,9 @@ class GenicamCamera:
         self._begin()
         device = self._device
         if not device.producer.is_file():
-            raise DriverError(f"device.producer is {device.producer}, which is no file; install the producer")
+            raise DriverError(
+                f"device.producer is {device.producer}, which is no file; correct the path, or install the producer"
+            )
         self._harvester = self._module.Harvester()
         try:
             self._harvester.add_file(str(device.producer))
@@ -146,13 +148,25 @@ class GenicamCamera:
         except Exception:  # noqa: BLE001 - not told: an exception of compiled code without a common base
             return 0
 
-    def _selected(self, found: Any) -> Any:
+    def _selected(self, found: Any) -> int:
+        """Return the number of the one camera that ``device.select`` describes. Raises ``DriverError``."""
+        producer, select = self._device.producer, self._device.select
         if not found:
-            raise DriverError(f"{self._device.producer} finds no camera; check its network and power")
-        if len(found) > 1 and not self._device.select:
-            known = "; ".join(f"{each.model} {each.serial_number}" for each in found)
-            raise DriverError(f"{self._device.producer} finds several cameras ({known}); set device.select")
-        return self._device.select or 0
+            raise DriverError(f"{producer} finds no camera; check its network and power")
+        fit = [
+            number
+            for number, each in enumerate(found)
+            if all(_property(each, name) == value for name, value in select.items())
+        ]
+        if len(fit) == 1:
+            return fit[0]
+        known = "; ".join(f"{each.model} {each.serial_number}" for each in found)
+        if not select:
+            raise DriverError(f"{producer} finds several cameras ({known}); set device.select")
+        raise DriverError(
+            f"device.select {select} describes {len(fit) or 'none'} of the cameras that {producer} finds "
+            f"({known}); correct it, so that it describes one"
+        )
 
     def _set_trigger(self, device: GenicamDevice) -> None:
         if device.trigger == "none":
@@ -205,6 +219,14 @@ class GenicamCamera:
         if text not in self._told:
             self._told.add(text)
             log.warning("%s: %s", self._name, text)
+
+
+def _property(info: Any, name: str) -> Any:
+    """Return what a producer says of a camera, None if it does not."""
+    try:
+        return getattr(info, name, None)
+    except Exception:  # noqa: BLE001 - not available: an exception of compiled code without a common base
+        return None
 
 
 def _number(buffer: Any) -> int | None:

@@ -58,8 +58,16 @@ def write_all(nodes: Any, settings: Mapping[str, Any]) -> None:
 def execute(nodes: Any, name: str) -> None:
     """Execute a command. Raises ``FeatureError``."""
     if not nodes.has_node(name):
-        raise FeatureError(f"the camera has no command {name!r}; it cannot be triggered by software")
-    getattr(nodes, name).execute()
+        raise FeatureError(
+            f"the camera has no command {name!r}, so it takes no frame on request; set device.trigger to none "
+            "or hardware"
+        )
+    try:
+        getattr(nodes, name).execute()
+    except Exception as error:  # genicam raises classes of compiled code without a common base
+        raise FeatureError(
+            f"the camera does not execute {name}: {_first_line(error)}; check its trigger settings"
+        ) from error
 
 
 def read(nodes: Any, name: str) -> Any:

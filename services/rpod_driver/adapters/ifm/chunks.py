@@ -25,6 +25,7 @@ _START, _STOP, _TICKET_BYTES = b"star", b"stop", 4
 _HEADER, _STAMP, _STAMPED_BYTES = struct.Struct("<9I"), struct.Struct("<3I"), 48
 _PIXELS = {0: "u1", 1: "i1", 2: "<u2", 3: "<i2", 4: "<u4", 5: "<i4", 6: "<f4", 7: "<u8", 8: "<f8"}
 """NumPy's types by the pixel format (ifm3d's ``pixel_format``)."""
+_REMEDY = "correct device.recording, or record it again"
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Chunk:
             raise RecordingError(
                 f"image {self.type}",
                 f"{len(self.data)} bytes of pixel format {self.pixel_format} are not {self.width} x "
-                f"{self.height} pixels; record it again",
+                f"{self.height} pixels; {_REMEDY}",
             )
         return np.frombuffer(self.data[:size], code).reshape(self.height, self.width)
 
@@ -65,7 +66,8 @@ def buffers(content: bytes, source: str) -> Iterator[dict[int, Chunk]]:
     while at < len(content):
         if content[at + _TICKET_BYTES : at + 8] != _START:
             raise RecordingError(
-                source, f"no 'star' at byte {at + _TICKET_BYTES}; it is no recording of PCIC buffers, or cut"
+                source,
+                f"no 'star' at byte {at + _TICKET_BYTES}: it is no recording of PCIC buffers, or cut; {_REMEDY}",
             )
         at += 8
         chunks: dict[int, Chunk] = {}
@@ -86,11 +88,14 @@ def _chunk(content: bytes, at: int, source: str) -> tuple[Chunk, int]:
     """Return the chunk at a byte, and the byte after it."""
     left = len(content) - at
     if left < _HEADER.size:
-        raise RecordingError(source, f"cut: {left} bytes are left at byte {at}, a chunk's header has more")
+        raise RecordingError(
+            source, f"cut: {left} bytes are left at byte {at}, a chunk's header has more; {_REMEDY}"
+        )
     kind, size, header, _, width, height, pixels, stamp_us, count = _HEADER.unpack_from(content, at)
     if not _HEADER.size <= header <= size <= left:
         raise RecordingError(
-            source, f"chunk {kind} at byte {at} says {size} bytes, {header} of its header; {left} are left"
+            source,
+            f"chunk {kind} at byte {at} says {size} bytes, {header} of its header; {left} are left; {_REMEDY}",
         )
     stamp_ns, metadata = stamp_us * 1000, {}
     if header >= _STAMPED_BYTES:
@@ -108,5 +113,5 @@ def _json(text: bytes, kind: int, source: str) -> dict[str, Any]:
     try:
         found = json.loads(stripped)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(source, f"metadata of chunk {kind} is no JSON ({error})") from error
+        raise RecordingError(source, f"metadata of chunk {kind} is no JSON ({error}); {_REMEDY}") from error
     return found if isinstance(found, dict) else {}

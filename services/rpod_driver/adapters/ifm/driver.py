@@ -68,10 +68,12 @@ class RecordedIfm(_Head):
         try:
             content = path.read_bytes()
         except OSError as error:
-            raise RecordingError(path, f"cannot be read ({error.strerror})") from error
+            raise RecordingError(
+                path, f"cannot be read ({error.strerror}); correct device.recording"
+            ) from error
         self._frames = [images_of(chunks) for chunks in buffers(content, str(path))]
         if not self._frames:
-            raise RecordingError(path, "holds no buffer")
+            raise RecordingError(path, "holds no buffer; correct device.recording, or record it again")
         for images in self._frames:
             self._maker.frame(images, images.stamp_ns)
         log.info("%s: %s holds %d frames", self._name, path, len(self._frames))

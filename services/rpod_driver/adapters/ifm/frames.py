@@ -52,7 +52,9 @@ def images_of(chunks: dict[int, Chunk]) -> IfmImages:
     """
     if RADIAL_DISTANCE not in chunks:
         told = ", ".join(str(kind) for kind in sorted(chunks)) or "none"
-        raise RecordingError("buffer", f"no image {RADIAL_DISTANCE} (radial distance), it holds {told}")
+        raise RecordingError(
+            "buffer", f"no image {RADIAL_DISTANCE} (radial distance), it holds {told}; record it too"
+        )
     distance = chunks[RADIAL_DISTANCE]
     others = [chunks[kind] for kind in (AMPLITUDE, DISTANCE_NOISE, CONFIDENCE) if kind in chunks]
     for other in others:
@@ -96,10 +98,15 @@ def _resolution(chunk: Chunk, name: str, of_info: float | None) -> float:
     """Return the value of one count, from the metadata or else from TOF_INFO. Raises ``RecordingError``."""
     given = chunk.metadata.get(name, of_info)
     if given is None:
-        raise RecordingError("buffer", f"neither metadata nor TOF_INFO give {name} of image {chunk.type}")
+        raise RecordingError(
+            "buffer",
+            f"neither metadata nor TOF_INFO give {name} of image {chunk.type}; record TOF_INFO too, or update "
+            "the firmware",
+        )
     if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= _COARSEST:
         raise RecordingError(
-            "buffer", f"{name} of image {chunk.type} is {given!r:.40}, needs a number above 0"
+            "buffer",
+            f"{name} of image {chunk.type} is {given!r:.40}, needs a number above 0; record it again",
         )
     return float(given)
 
@@ -124,7 +131,9 @@ def _bits(chunk: Chunk | None) -> NDArray[Any] | None:
     """Return an image of bits. Raises ``RecordingError`` if its pixels are no integers."""
     image = None if chunk is None else chunk.image()
     if image is not None and image.dtype.kind not in "iu":
-        raise RecordingError("buffer", f"image {CONFIDENCE} (confidence) is {image.dtype}, needs integers")
+        raise RecordingError(
+            "buffer", f"image {CONFIDENCE} (confidence) is {image.dtype}, needs integers; record it again"
+        )
     return image
 
 

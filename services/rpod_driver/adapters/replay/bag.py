@@ -3,6 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,12 @@ class Bag:
 
     def info(self) -> Any:
         """Return the sensor's latched info, None if there is none."""
-        found = open_reader(self._kind, self._source)
         if self._kind.info is None:
             return None
-        topic = self._kind.info.of(self._name)
-        for _, payload in self._messages({"info": topic}):
-            found.learn(decode(payload, topic.type))
-            break
-        return found.newest_info
+        topic, reader = self._kind.info.of(self._name), open_reader(self._kind, self._source)
+        for _, payload in islice(self._messages({"info": topic}), 1):
+            reader.learn(decode(payload, topic.type))
+        return reader.newest_info
 
     def frames(self) -> Iterator[SensorFrame]:
         """Yield the frames in their order; report at the end which were left out."""

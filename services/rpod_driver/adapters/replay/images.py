@@ -19,7 +19,7 @@ class ImageFolder:
     """A camera whose frames are in a folder."""
 
     def __init__(self, images: Images) -> None:
-        """Find the images. Raises ``RecordingError``, ``MissingSdkError``."""
+        """Find the images, and read the first. Raises ``RecordingError``, ``MissingSdkError``."""
         self._images = images
         self._cv2 = sdk("cv2", driver="replay", needs="images need pip install 'rpod[estimator]'")
         self._depths = sorted(images.folder.glob(images.depth))
@@ -35,7 +35,7 @@ class ImageFolder:
                 f"{images.amplitude!r}; each depth needs its amplitude",
             )
         self._factor = images.metres_per_count * (ray_cosines(images.camera) if images.radial else 1.0)
-        next(self.frames())
+        next(self.frames())  # an error of the first image is told now
 
     def info(self) -> None:
         """Return None: images do not describe the camera."""
