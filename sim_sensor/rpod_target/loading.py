@@ -294,7 +294,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
     content = str(arrays.pop(store.DIGEST))
     spacing_m = parameters.distance_field.spacing_m or float(arrays["field_spacing_m"])
     field = DistanceField(arrays.pop("field_origin_m"), spacing_m, arrays.pop("field_values"))
-    arrays.pop("field_spacing_m", None)  # a cache of the past may be without it
+    arrays.pop("field_spacing_m", None)  # an older cache may lack it
     parts = tuple(part.name for part in parameters.parts)
     backs = tuple(f"{parts[number]}-back" for number in arrays.pop("back_parts", ()))
     repairs = tuple(str(text) for text in arrays.pop("repairs", ()))

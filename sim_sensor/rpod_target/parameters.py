@@ -180,6 +180,12 @@ PartParameters = Annotated[
 ]
 
 
+def _direction(axis: FloatArray) -> FloatArray:
+    if not np.linalg.norm(axis) > 0.0:
+        raise ValueError(f"is {axis.tolist()}, must not be zero: give a direction, of any length")
+    return axis
+
+
 class FieldParameters(Config):
     """The grid of the distance field."""
 
@@ -203,10 +209,8 @@ class JointParameters(Config):
 
     @field_validator("axis")
     @classmethod
-    def _has_a_direction(cls, axis: FloatArray) -> FloatArray:
-        if not np.linalg.norm(axis) > 0.0:
-            raise ValueError(f"is {axis.tolist()}, must not be zero: give a direction, of any length")
-        return axis
+    def _is_a_direction(cls, axis: FloatArray) -> FloatArray:
+        return _direction(axis)
 
     @field_validator("limits_deg")
     @classmethod
@@ -239,11 +243,8 @@ class SymmetryParameters(Config):
 
     @field_validator("axis")
     @classmethod
-    def _has_direction(cls, axis: FloatArray) -> FloatArray:
-        length = float(np.linalg.norm(axis))
-        if length == 0.0:
-            raise ValueError("needs a direction, not the zero vector")
-        return axis / length
+    def _is_a_unit_vector(cls, axis: FloatArray) -> FloatArray:
+        return _direction(axis) / float(np.linalg.norm(axis))
 
 
 FrameName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]

@@ -19,6 +19,7 @@ from rpod_target.mesh.files import MeshFile, read_mesh_file
 from rpod_target.mesh.repair import RepairedMesh, repair
 from rpod_target.mesh.simplification import coarser, simplified
 from rpod_target.mesh.topology import Indices, areas_m2, separate_surfaces
+from rpod_target.mesh.unusable import NO_AREA
 from rpod_target.parameters import (
     BoxParameters,
     CylinderParameters,
@@ -174,13 +175,13 @@ def _of_file(file: MeshFile, parts: Mapping[int, MeshParameters], *, source: str
     first = next(iter(parts.values()))
     longest = float(np.ptp(file.triangles, axis=(0, 1)).max())
     if not longest > 0.0:
-        raise ValueError("contains no triangle with an area greater than zero")
+        raise ValueError(NO_AREA)
     scale = first.metres_per_unit or (first.longest_side_m or 0.0) / longest
     part = np.full(len(file.triangles), -1)
     for number, one in parts.items():
         if one.object is not None and one.object not in file.objects:
             known = ", ".join(repr(name) for name in file.objects)
-            reason = f"{one.file} has no object {one.object!r}; it has {known}"
+            reason = f"{one.file} has no object {one.object!r}: name one of {known}"
             raise TargetError(source, f"parts.{number}.object", reason)
         _check_materials(file, number, one, source=source)
         chosen = True if one.object is None else file.triangle_object == file.objects.index(one.object)
@@ -209,7 +210,7 @@ def _check_materials(file: MeshFile, number: int, part: MeshParameters, *, sourc
     unknown = next((name for name in part.file_materials if name not in known), None)
     if unknown is not None:
         listed = ", ".join(map(repr, known)) or "none"
-        reason = f"{part.file} has no material {unknown!r}; it has {listed}"
+        reason = f"{part.file} has no material {unknown!r}: name one of {listed}, or leave it out"
         raise TargetError(source, f"parts.{number}.file_materials", reason)
 
 

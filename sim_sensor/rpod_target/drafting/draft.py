@@ -17,7 +17,7 @@ from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
 from rpod_target.mesh.files import METRIC, STEP, MeshFile, companions, read_mesh_file
 from rpod_target.mesh.folder import read_files
-from rpod_target.mesh.unusable import LARGEST_FILE_MB
+from rpod_target.mesh.unusable import LARGEST_FILE_MB, NO_AREA
 from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
 from rpod_target.target import Target
 
@@ -153,7 +153,7 @@ def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) ->
     """Return metres per unit of the file."""
     longest = float(np.ptp(mesh.triangles, axis=(0, 1)).max())
     if not longest > 0.0:
-        raise TargetError(cad, "", "contains no triangle with an area greater than zero")
+        raise TargetError(cad, "", NO_AREA)
     if options.units is not None and options.units not in METRES:
         raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
     by_unit = None if options.units is None else METRES[options.units]
@@ -262,7 +262,7 @@ class _Sections:
         corners = self._mesh.triangles
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         if not area.sum() > 0.0:
-            raise TargetError(self._cad, "", "contains no triangle with an area greater than zero")
+            raise TargetError(self._cad, "", NO_AREA)
         centre_m = self._scale * (area @ corners.mean(axis=1)) / area.sum()
         self.told.append("the origin is the centre of area, not that of the file")
         return np.asarray(np.round(-centre_m, 9))

@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.mesh.topology import Indices, components, directed_edges, welded
+from rpod_target.mesh.unusable import NO_AREA
 
 _ROUNDS = 50
 _THIN = 1e-6
@@ -73,7 +74,7 @@ def repair(triangles: FloatArray) -> RepairedMesh:
     """
     told: list[str] = []
     if not len(triangles) or not np.ptp(triangles, axis=(0, 1)).max() > 0.0:
-        raise ValueError("contains no triangle with an area greater than zero")
+        raise ValueError(NO_AREA)
     index = welded(triangles)
     corners = np.empty((int(index.max()) + 1, 3))
     corners[index.ravel()[::-1]] = triangles.reshape(-1, 3)[::-1]  # the first of equal corners counts
@@ -87,7 +88,7 @@ def repair(triangles: FloatArray) -> RepairedMesh:
     index, origin, split = _without_slivers(index, origin, corners, told)
     split |= moved[origin]
     if not len(index):
-        raise ValueError("contains no triangle with an area greater than zero")
+        raise ValueError(NO_AREA)
     index, patch = _turned_alike(index, told)
     surface = _surfaces(index)
     mesh = RepairedMesh(

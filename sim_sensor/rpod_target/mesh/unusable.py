@@ -11,6 +11,7 @@ from typing import Any
 
 from rpod_target.mesh.announced import too_many
 
+NO_AREA = "contains no triangle with an area greater than zero: export its surfaces again"
 MOST_TRIANGLES = 10_000_000
 """Largest number of triangles of a file, each copy of an object counted: their corners take 0.7 GB."""
 LARGEST_FILE_MB = 500.0

@@ -260,7 +260,7 @@ def test_an_unknown_object_is_refused_with_the_known_ones(build: Build, tmp_path
     (tmp_path / "two.obj").write_text(OBJ)
     part = {"shape": "mesh", "file": "two.obj", "metres_per_unit": 1.0, "object": "wing"}
     with pytest.raises(
-        TargetError, match=r"parts\.0\.object: two\.obj has no object 'wing'; it has .*'body'"
+        TargetError, match=r"parts\.0\.object: two\.obj has no object 'wing': name one of .*'body'"
     ):
         build(part)
 
@@ -269,7 +269,7 @@ def test_an_unknown_material_of_the_file_is_refused_with_the_known_ones(build: B
     (tmp_path / "two.obj").write_text(OBJ)
     part = {"shape": "mesh", "file": "two.obj", "metres_per_unit": 1.0, "file_materials": {"foils": "foil"}}
     with pytest.raises(
-        TargetError, match=r"parts\.0\.file_materials: two\.obj has no material 'foils'; .*'foil'"
+        TargetError, match=r"parts\.0\.file_materials: two\.obj has no material 'foils': name one of .*'foil'"
     ):
         build(part)
 

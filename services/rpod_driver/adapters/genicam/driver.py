@@ -59,7 +59,8 @@ class GenicamCamera:
         device = self._device
         if not device.producer.is_file():
             raise DriverError(
-                f"device.producer is {device.producer}, which is no file; correct the path, or install the producer"
+                f"device.producer is {device.producer}, which is no file; correct the path, or "
+                "install the producer"
             )
         self._harvester = self._module.Harvester()
         try:

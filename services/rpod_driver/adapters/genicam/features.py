@@ -59,8 +59,8 @@ def execute(nodes: Any, name: str) -> None:
     """Execute a command. Raises ``FeatureError``."""
     if not nodes.has_node(name):
         raise FeatureError(
-            f"the camera has no command {name!r}, so it takes no frame on request; set device.trigger to none "
-            "or hardware"
+            f"the camera has no command {name!r}, so it takes no frame on request; set device.trigger "
+            "to none or hardware"
         )
     try:
         getattr(nodes, name).execute()

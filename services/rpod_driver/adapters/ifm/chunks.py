@@ -67,7 +67,8 @@ def buffers(content: bytes, source: str) -> Iterator[dict[int, Chunk]]:
         if content[at + _TICKET_BYTES : at + 8] != _START:
             raise RecordingError(
                 source,
-                f"no 'star' at byte {at + _TICKET_BYTES}: it is no recording of PCIC buffers, or cut; {_REMEDY}",
+                f"no 'star' at byte {at + _TICKET_BYTES}: it is no recording of PCIC buffers, or cut; "
+                f"{_REMEDY}",
             )
         at += 8
         chunks: dict[int, Chunk] = {}
@@ -95,7 +96,8 @@ def _chunk(content: bytes, at: int, source: str) -> tuple[Chunk, int]:
     if not _HEADER.size <= header <= size <= left:
         raise RecordingError(
             source,
-            f"chunk {kind} at byte {at} says {size} bytes, {header} of its header; {left} are left; {_REMEDY}",
+            f"chunk {kind} at byte {at} says {size} bytes, {header} of its header; {left} are left; "
+            f"{_REMEDY}",
         )
     stamp_ns, metadata = stamp_us * 1000, {}
     if header >= _STAMPED_BYTES:

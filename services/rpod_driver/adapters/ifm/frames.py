@@ -100,8 +100,8 @@ def _resolution(chunk: Chunk, name: str, of_info: float | None) -> float:
     if given is None:
         raise RecordingError(
             "buffer",
-            f"neither metadata nor TOF_INFO give {name} of image {chunk.type}; record TOF_INFO too, or update "
-            "the firmware",
+            f"neither metadata nor TOF_INFO give {name} of image {chunk.type}; record TOF_INFO too, or "
+            "update the firmware",
         )
     if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given <= _COARSEST:
         raise RecordingError(
