@@ -178,6 +178,7 @@ def beside_the_surface_m(points_m):
         ("velodyne-decoder", "velodyne", 210, 0.6, 0.005),
         ("hesai", "hesai", 455, 0.3, 0.030),  # measured 25 ms before its stamp, at 1 m/s
         ("livox", "livox", 162, 2.5, 0.020),  # takes 0.1 s
+        ("py-livox2", "livox", 162, 2.5, 0.020),
     ],
 )
 def test_a_cloud_of_open_tools_shows_the_moving_mockup_at_the_time_of_each_point(
@@ -200,6 +201,14 @@ def test_a_cloud_of_open_tools_shows_the_moving_mockup_at_the_time_of_each_point
     turned = Rotation.from_matrix(SEEN.rotation()).inv() * pose.rotation
     assert np.degrees(turned.magnitude()) < off_deg
     assert np.linalg.norm(pose.translation - SEEN.origin_m(stamp_s)) < off_m
+
+
+def test_a_field_of_a_name_that_is_no_time_is_not_read_as_one():
+    """What hydra4 calls ``stamp`` spans 350 s, since it adds microseconds as seconds."""
+    scan = played("lidar", "hesai", {"points": recorded("hydra4")})[0].data
+    others = played("lidar", "hesai", {"points": recorded("hesai")})[0].data
+    np.testing.assert_array_equal(scan.points_m, others.points_m)
+    assert not np.any(scan.time_s)
 
 
 def test_a_row_step_of_0_is_read_in_a_single_row_alone():
