@@ -208,9 +208,10 @@ class Estimator:
         self._take_resets()
         if arrived.measurement is None:
             return self._rejected(arrived, arrived.reason)
-        if arrived.sensor not in self._methods:
-            return self._rejected(arrived, kind_methods(self._sensors[arrived.sensor]).missing)
         before, measurement = self._state.mode, arrived.measurement
+        if arrived.sensor not in self._methods:
+            missing = kind_methods(self._sensors[arrived.sensor]).missing
+            return self._rejected(arrived, self._hinted(missing, measurement))
         if self._is_reset:
             self._begin_anew(measurement.stamp_ns)
         if known := self._known.get(arrived.sensor):
@@ -233,8 +234,12 @@ class Estimator:
             why, cause = SLOW_SEARCH, Cause.SLOW_SEARCH
         if not why:
             return output
+        return output.explained(self._hinted(why, measurement), cause)
+
+    def _hinted(self, why: str, measurement: Measurement) -> str:
+        """Return a reason with what a frame measures."""
         hint = described(measurement.data, radius_m=self._target.radius_m, side_m=self._side_m)
-        return output.explained(f"{why} ({hint})" if hint else why, cause)
+        return f"{why} ({hint})" if hint else why
 
     def _searches_long(self, measurement: Measurement) -> bool:
         """Return whether the search for which a frame waits takes long."""

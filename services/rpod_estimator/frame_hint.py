@@ -67,13 +67,20 @@ def _points_m(data: SensorFrame) -> NDArray[Any]:
 
 
 def _axes_hint(lens: Camera | None, points_m: NDArray[Any]) -> str:
-    """Return a hint if the points of a LIDAR lie along its x axis, not along z; else empty."""
+    """Return a hint if the points of a LIDAR lie beside or behind it, not along z; else empty."""
     if lens is not None:
         return ""
     x, _, z = (points_m / np.linalg.norm(points_m, axis=1, keepdims=True)).mean(axis=0)
-    if x < _AHEAD or abs(z) > 1.0 - _AHEAD:
+    turn = "turn the sensor, or the axes of its driver, so that the boresight points at the target"
+    if z < -_AHEAD:
+        return f" behind it: {turn}"
+    if max(x, -x) < _AHEAD or z > 1.0 - _AHEAD:
         return ""
-    return " ahead along its x axis, not along z: set source.axes of the sensor to forward"
+    if x < 0.0:
+        return f" to the left of its boresight (z, or x of axes forward): {turn}"
+    return (
+        f" ahead along its x axis, not along z: set source.axes of the sensor to forward; where it is, {turn}"
+    )
 
 
 def _hint(lens: Camera | None, near_m: float, far_m: float, radius_m: float) -> str:

@@ -117,6 +117,21 @@ def test_points_ahead_of_x_name_the_field_for_their_axes():
     assert "axis" not in described(scan(sphere()), radius_m=1.0, side_m=2.0)
 
 
+@pytest.mark.parametrize(
+    ("turned_deg", "place"), [(-90.0, "to the left of its boresight"), (170.0, "behind it")]
+)
+def test_points_beside_or_behind_a_lidar_say_where_they_are_and_what_to_turn(turned_deg, place):
+    """A Hesai whose azimuth of 0 is at the target has its points along y, to the left of its x axis."""
+    turn = Rotation.from_euler("y", turned_deg, degrees=True)
+    seen = scan(turn.apply(sphere().reshape(-1, 3)).reshape(sphere().shape))
+    config = check(EstimatorConfig, {"target": "mockup", "sensors": [{"kind": "lidar"}]}, source="test")
+    arrived = Arrived("lidar", seen.stamp_ns, 0.0, Measurement("lidar", seen, make_pose()))
+    told = Estimator(config, load_target("mockup")).process(arrived).status.reason
+    assert "no scan pattern" in told
+    assert place in told
+    assert "turn the sensor, or the axes of its driver" in told
+
+
 def test_a_mount_is_told_in_words_that_show_an_exchange_of_axes():
     told = in_words(make_pose(rotation=FORWARD, translation_m=(0.1, -0.05, 0.2)))
     assert told == (
