@@ -37,7 +37,8 @@ its newest frames that may be why they are refused; how busy this machine is, if
 frames wait; the awaited topic of a sensor that has never sent, and what is published instead."""
 _CHECK = (
     "'rpod driver check {}' looks for errors of the sensor, with --target and --search also for a mirrored "
-    "image, another unit or lens"
+    "image, another unit or lens; if the sensor is right, the target's file may differ from the body: 'rpod "
+    "target check' draws it"
 )
 
 
