@@ -66,6 +66,9 @@ class OtherSize:
     most_log_odds: float = inf
     """Upper limit of the log odds of all frames together: larger odds may also be caused by an error that
     all frames share."""
+    tests: bool = True
+    """Whether frames that prefer this size show that the model's own is wrong. If not, the sizes are so near
+    that the likelihood of a right model may prefer it too."""
 
 
 @dataclass(frozen=True, eq=False)

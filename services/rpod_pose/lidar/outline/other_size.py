@@ -13,7 +13,7 @@ Likelihoods of returns are densities of their ranges. The densities of ranges di
 large. So log k is subtracted for each return before two sizes are compared.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, log
 from typing import Any
@@ -35,10 +35,17 @@ SIGMAS = 4.0
 """Least difference of the tested sizes in standard deviations of the size, which the target's file declares.
 Physics: one in 16,000 normal errors is larger."""
 
+NEAR = 1.0 / 3.0
+"""Difference of the sizes that are near the model's own, over the least difference that a test asks for.
+Numerics: the levels contain sizes up to two thirds of it, of which this is the middle."""
+
 
 @dataclass(frozen=True, eq=False)
 class OtherSizes:
-    """Registers a scan with a smaller and with a larger target when it is called.
+    """Registers a scan with smaller and with larger targets when it is called.
+
+    A pose does not move in proportion to the size: with a model 1 % too large it may be turned as far as with
+    one 3 % too large. So sizes near the model's own are registered too.
 
     When it is sent to another process, the results are sent: the scan and the target have many megabytes.
     """
@@ -58,9 +65,13 @@ class OtherSizes:
     """Relative standard deviation of the size, which the target's file declares."""
 
     def __call__(self) -> tuple[OtherSize, ...]:
-        """Return the poses for both sizes, without one that has no solution."""
+        """Return the poses for two smaller and two larger sizes, without those that have no solution."""
         most = max(SHARE, SIGMAS * self.scale_tolerance)
-        sizes = (self._of(share) for share in (-most, most))
+        tested = (self._of(share) for share in (-most, most))
+        near = (
+            replace(self._of(share), tests=False, most_log_odds=inf) for share in (-NEAR * most, NEAR * most)
+        )
+        sizes = (*tested, *near)
         return tuple(size for size in sizes if np.isfinite(size.step).all())
 
     def __reduce__(self) -> tuple[type[partial[tuple[OtherSize, ...]]], tuple[Any, ...]]:

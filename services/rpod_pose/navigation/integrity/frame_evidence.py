@@ -10,6 +10,7 @@ estimate.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, hypot, inf, isfinite, pi, sqrt
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -109,6 +110,10 @@ class FrameEvidence:
         followed[sensor] = (stamp_ns, share_followed(found))
         return FrameEvidence(misfits, sizes, parts, followed)
 
+    def newest_sizes(self, sensor: str) -> tuple[OtherSize, ...]:
+        """Return the poses for other sizes of the newest frame of a sensor that has some."""
+        return self.sizes[sensor][-1][1] if sensor in self.sizes else ()
+
     def tests(self, range_m: float, range_share: float, correlated_s: float = 0.0) -> list[Statistic]:
         """Return the tests of all sensors.
 
@@ -123,6 +128,8 @@ class FrameEvidence:
         tests = []
         for name, frames in self.sizes.items():
             for size, log_odds in _log_odds(frames, correlated_s):
+                if not size.tests:
+                    continue
                 text = f"{name}: {_of_size(1.0 + size.share)} explains the frames better"
                 tests.append(Statistic(text, 2.0 * max(log_odds, 0.0), 2, OTHER_SIZE))
         for name, misfits in self.misfits.items():
@@ -177,32 +184,41 @@ class FrameEvidence:
         return found
 
     def size_solutions(
-        self, estimate: FilterState, risk: float, share: float, correlated_s: float
+        self,
+        estimate: FilterState,
+        risk: float,
+        share: float,
+        correlated_s: float,
+        shifts: Mapping[float, FloatArray] = MappingProxyType({}),
     ) -> tuple[list[Solution], list[Solution]]:
         """Return the solutions for the tested other sizes of the target, and those for sizes between.
 
         By Bayes's rule, the probability of another size is its prior times the odds of the frames. A size
-        that the frames have excluded is left out. Sizes between this one and the model's own keep the prior.
-        The separation is that of the newest frame: an error of the model lasts as long as a view does.
+        that the frames have excluded is left out. Sizes between this one and the model's own keep the prior,
+        since no frame excludes them. One that the frames prefer has its odds, as a tested one has.
+        The separation is the shift of the estimate, where a filter tells it (``sizes``), else that of the
+        newest frame: an error of the model lasts as long as a view does.
 
         Args:
             estimate: the estimate.
             risk: risk of the levels.
             share: prior probability that the size is wrong, larger or smaller.
             correlated_s: time within which two frames count as one.
+            shifts: shifts of the estimate, chaser axes, by the enlargement, shape (6,) each.
         """
         turn = np.kron(np.eye(2), rotation_matrix(estimate.T_chaser_target))
         covariance = estimate.covariance[POSE, POSE]
         others, between = [], []
         for name, frames in self.sizes.items():
             for size, log_odds in _log_odds(frames, correlated_s):
-                step = turn @ size.step
+                step = shifts[size.share] if size.share in shifts else turn @ size.step
                 probability = min(0.5 * share * exp(min(log_odds, MOST_LOG_ODDS)), 1.0)
                 text = f"{name}: {_of_size(1.0 + size.share)}"
-                if probability > UNLIKELY * risk:
+                if probability > (UNLIKELY * risk if size.tests else 0.5 * share):
                     others.append(Solution(text, step, covariance, probability))
-                text = f"{name}: {_of_size(1.0 + UNRESOLVED * size.share)}"
-                between.append(Solution(text, UNRESOLVED * step, covariance, 0.5 * share))
+                part = UNRESOLVED if size.tests else 1.0
+                text = f"{name}: {_of_size(1.0 + part * size.share)}"
+                between.append(Solution(text, part * step, covariance, 0.25 * share))
         return others, between
 
 

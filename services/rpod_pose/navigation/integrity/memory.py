@@ -10,6 +10,7 @@ from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.past import Past
 from rpod_pose.navigation.integrity.residuals import Residual, recent
+from rpod_pose.navigation.integrity.sizes import SizedFilters
 from rpod_schemas.arrays import FloatArray
 
 
@@ -21,6 +22,8 @@ class Memory:
     """Residuals of each sensor in the window."""
     without: Mapping[str, FilterState] = field(default_factory=dict)
     """Filters without one of several sensors, by that sensor's name."""
+    sized: SizedFilters = field(default_factory=dict)
+    """Filters of the poses for other sizes of the target; none if several sensors support the track."""
     past: Past = field(default_factory=Past)
     """Where the estimate was before."""
     sensor: str = ""

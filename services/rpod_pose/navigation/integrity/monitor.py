@@ -37,6 +37,7 @@ from rpod_pose.navigation.integrity.residuals import (
     residual_tests,
     separation_test,
 )
+from rpod_pose.navigation.integrity.sizes import SizedFilters, shifts_of, sized_after
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.sensors.streams import is_recent
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
@@ -84,6 +85,7 @@ class Monitor:
         """
         memory = self._heard(memory, state, output, frozen)
         if not state.mode.has_track or state.history is None:
+            memory = replace(memory, sized={})
             reason = f"the target is not tracked: {state.mode.name}"
             stamp_ns = output.status.stamp_ns
             return memory, self._integrity(output, stamp_ns, IntegrityState.UNAVAILABLE, reason)
@@ -130,7 +132,10 @@ class Monitor:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
         alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
         without = self._without(memory, sensor, alone or predicted, predicted, measured)
-        return replace(memory, without=without)
+        sized: SizedFilters = {}
+        if len(memory.residuals) < 2:
+            sized = sized_after(memory.sized, memory.frames.newest_sizes(sensor), step, self._filter)
+        return replace(memory, without=without, sized=sized)
 
     def _without(
         self,
@@ -233,8 +238,9 @@ class Monitor:
         solutions += older_solutions(state.history, estimate, self._filter, self._tuning)
         solutions += refused_solutions(state.history, share)
         solutions += self._rivals(output, estimate)
+        shifts = shifts_of(estimate, memory.sized, self._filter)
         other_sizes, between = memory.frames.size_solutions(
-            estimate, self._config.risk, share, self._tuning.correlated_s
+            estimate, self._config.risk, share, self._tuning.correlated_s, shifts
         )
         solutions += other_sizes
         place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)

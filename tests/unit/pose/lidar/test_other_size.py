@@ -27,8 +27,10 @@ def by_share(found):
 
 def test_the_right_model_is_likelier_than_a_target_of_another_size(scan):
     sizes = by_share(tracker().track(scan, T))
-    assert set(sizes) == {-3, 3}
-    assert all(size.log_odds < -20.0 for size in sizes.values())
+    assert set(sizes) == {-3, -1, 1, 3}
+    assert all(sizes[share].log_odds < -20.0 for share in (-3, 3))
+    assert all(sizes[share].log_odds < 0.0 for share in (-1, 1))
+    assert {share for share, size in sizes.items() if size.tests} == {-3, 3}
 
 
 def test_another_process_gets_the_poses_of_other_sizes_without_the_scan_and_the_target(scan):

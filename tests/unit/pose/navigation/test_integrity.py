@@ -27,6 +27,7 @@ from rpod_pose.navigation.integrity.monitor import (
 )
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
+from rpod_pose.navigation.integrity.sizes import shifts_of, sized_after
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
@@ -381,6 +382,30 @@ def test_the_level_contains_another_size_until_the_frames_exclude_it(log_odds, l
     assert levels.attitude_deg == pytest.approx(level_deg, abs=0.3)
     (test,) = told.tests(10.0, 0.0, 1.0)
     assert test.exceeds_risk(1e-6) == fails
+
+
+@pytest.mark.parametrize(("log_odds", "sigmas"), [(-30.0, 2.6), (20.0, 5.67)])
+def test_a_near_size_keeps_its_prior_and_counts_fully_where_frames_prefer_it(log_odds, sigmas):
+    estimate = start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)
+    step, noise = np.deg2rad(3.0) * np.eye(6)[3], np.deg2rad(0.1) ** 2 * np.eye(6)
+    told = inside(other_sizes=lambda: (OtherSize(0.01, log_odds, step, tests=False),))
+    others, between = told.size_solutions(estimate, 1e-6, 1e-4, 1.0)
+    near = [replace(each, covariance=noise) for each in (*others, *between)]
+    levels = protection_levels([Solution("", np.zeros(6), noise), *near], np.zeros((6, 6)), 1e-6)
+    assert levels.attitude_deg == pytest.approx(3.0 + 0.1 * sigmas, abs=0.06)
+    assert not told.tests(10.0, 0.0, 1.0)
+
+
+def test_the_shift_of_an_estimate_by_another_size_is_that_of_a_filter_of_shifted_poses():
+    history, sized = History(start(truth(0.0), COVARIANCE, START_NS, config=CONFIG)), {}
+    for k, turn_deg in enumerate((1.0, 1.0, 1.0, 1.0, 0.0), 1):
+        pose = PoseMeasurement(START_NS + k * SECOND_NS // 10, truth(0.1 * k), COVARIANCE)
+        history, _, _ = apply(history, pose, CONFIG)
+        size = OtherSize(0.01, 0.0, np.deg2rad(turn_deg) * np.eye(6)[3])
+        sized = sized_after(sized, (size,), history.steps[-1], CONFIG)
+    (shift,) = shifts_of(history.state, sized, CONFIG).values()
+    assert 0.3 < np.rad2deg(np.linalg.norm(shift[3:])) < 1.0  # that of the newest frame is 0
+    assert np.allclose(sized[0.01].covariance, history.state.covariance, rtol=0.01, atol=1e-9)
 
 
 def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_is(track):
