@@ -5,6 +5,7 @@ protection levels, alert limits and state, so that misleading frames can be foun
 trial and frame.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -21,23 +22,17 @@ from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, TurnedTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of
 from rpod_campaign.sequences.course import EPOCH_S, Course, lidar_of
+from rpod_campaign.sequences.judged import Arrived, judged
 from rpod_campaign.sequences.settings import inputs_of, settings_of
-from rpod_pose.measurement import Measurement
 from rpod_pose.methods import ready_methods
-from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.integrity.frame_evidence import share_followed
 from rpod_pose.navigation.integrity.levels import declared_covariance
-from rpod_pose.navigation.integrity.memory import Memory
-from rpod_pose.navigation.integrity.monitor import Monitor
-from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Output
 from rpod_pose.ports import Methods
 from rpod_schemas.config.estimator import PmdInput
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
-from rpod_schemas.errors import Reason
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.topics import CHASER
-from rpod_schemas.types import EstimatorStatus, Integrity
+from rpod_schemas.types import Integrity
 from rpod_target import Target
 
 FRAME = "frame"
@@ -77,56 +72,35 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     methods, turned = _turnable(_methods(cell), turn)
     settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
-    navigator = Navigator(
-        settings,
-        methods,
-        centre_of_mass_m=model.centre_of_mass_m,
-        alike=model.equivalence,
-        dynamics=Dynamics.of(settings.dynamics, model),
-    )
-    monitor, memory = Monitor(settings), Memory()
     injector = Injector(cell.fault, cell.size, start_s=cell.start_s)
     declared = {
         name: DeclaredErrors.drawn(settings.integrity, seed=seed, trial=trial, sensor=name)
         for name in methods
     }
-    state = navigator.start(course.truth(0.0))
-    rows = []
-    for number, (time_s, exact) in enumerate(course.frames()):
-        clean = declared[exact.sensor].measured(exact)
-        mine = clean.sensor == faulty
-        measurement = injector.measured(time_s, clean) if mine else clean
-        is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
-        turned[clean.sensor].truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
-        frozen = mine and injector.repeats >= FROZEN_REPEATS
-        if frozen:  # refused as by the estimator, before the navigator
-            output = _refused(measurement, state)
-        else:
-            state, output = navigator.step(state, measurement)
-        memory, integrity = monitor.assess(memory, state, output, frozen=frozen)
-        rows.append(
-            {
-                FRAME: number,
-                "time_s": time_s,
-                "by": clean.sensor,
-                "faulty": injector.is_active(time_s),
-                "mode": state.mode.name,
-                "seed": seed,
-                **_scored(course, output, integrity, cached_target(cell.target), settings.integrity),
-            }
-        )
-    return rows
 
+    def arriving() -> Iterator[Arrived]:
+        for time_s, exact in course.frames():
+            clean = declared[exact.sensor].measured(exact)
+            mine = clean.sensor == faulty
+            measurement = injector.measured(time_s, clean) if mine else clean
+            is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
+            truth = exact.T_chaser_sensor.inv() * course.truth(time_s)
+            turned[clean.sensor].truth = truth if is_turned else None
+            yield Arrived(time_s, measurement, mine and injector.repeats >= FROZEN_REPEATS)
 
-def _refused(measurement: Measurement, state: NavigatorState) -> Output:
-    status = EstimatorStatus(
-        stamp_ns=measurement.stamp_ns,
-        frame_id=CHASER,
-        mode=state.mode,
-        sensor=measurement.sensor,
-        reason=Reason.FROZEN,
-    )
-    return Output(status, None)
+    told = judged(settings, methods, model, arriving(), T_chaser_target=course.truth(0.0))
+    return [
+        {
+            FRAME: number,
+            "time_s": arrived.time_s,
+            "by": arrived.measurement.sensor,
+            "faulty": injector.is_active(arrived.time_s),
+            "mode": state.mode.name,
+            "seed": seed,
+            **_scored(course, output, integrity, cached_target(cell.target), settings.integrity),
+        }
+        for number, (arrived, state, output, integrity) in enumerate(told)
+    ]
 
 
 def _scored(

@@ -19,14 +19,11 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.scene import scenario_of
 from rpod_campaign.pmd.world import World, built
+from rpod_campaign.sequences.judged import Arrived, judged
 from rpod_emulator.local_sensor import LocalSensor
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import kind_methods, ready_methods
-from rpod_pose.navigation.dynamics.options import Dynamics
-from rpod_pose.navigation.integrity.memory import Memory
-from rpod_pose.navigation.integrity.monitor import Monitor
-from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import Output
 from rpod_pose.ports import Methods
 from rpod_schemas.config.emulator import EmulatorConfig
@@ -86,28 +83,24 @@ def run(cell: NavigationCell, seed: int, trial: int) -> list[dict[str, Any]]:
     """Return a row for each frame of the trial."""
     scenario, (settings, methods, model) = scenario_of(cell.document), _estimator(cell)
     target, motion = cached_target(scenario.target), _motion_of(cell.document)
-    navigator = Navigator(
+    begin_s = float(stream(seed, trial, _BEGIN).uniform(0.0, max(0.0, scenario.duration_s - cell.seconds)))
+    told = judged(
         settings,
         methods,
-        centre_of_mass_m=model.centre_of_mass_m,
-        alike=model.equivalence,
-        joints=model.joints,
-        dynamics=Dynamics.of(settings.dynamics, model),
+        model,
+        _frames(cell, motion, begin_s, seed=seed, trial=trial),
+        T_chaser_target=motion.state(begin_s).T_chaser_target,
     )
-    monitor, memory = Monitor(settings), Memory()
-    begin_s = float(stream(seed, trial, _BEGIN).uniform(0.0, max(0.0, scenario.duration_s - cell.seconds)))
-    state, rows, before = navigator.start(motion.state(begin_s).T_chaser_target), [], None
-    for number, (time_s, measurement) in enumerate(_frames(cell, motion, begin_s, seed=seed, trial=trial)):
-        state, output = navigator.step(state, measurement)
-        memory, integrity = monitor.assess(memory, state, output)
+    rows, before = [], None
+    for number, (arrived, state, output, integrity) in enumerate(told):
         truth = motion.state(_time_s(scenario, integrity.stamp_ns)).T_chaser_target
         offset = _offset(truth, output, target)
         rows.append(
             {
                 FRAME: number,
-                "time_s": time_s,
-                "since_s": time_s - begin_s,
-                "sensor": measurement.sensor,
+                "time_s": arrived.time_s,
+                "since_s": arrived.time_s - begin_s,
+                "sensor": arrived.measurement.sensor,
                 "mode": state.mode.name,
                 "accepted": output.status.accepted,
                 "nis": output.status.nis,
@@ -122,8 +115,8 @@ def run(cell: NavigationCell, seed: int, trial: int) -> list[dict[str, Any]]:
 
 def _frames(
     cell: NavigationCell, motion: Motion, begin_s: float, *, seed: int, trial: int
-) -> Iterator[tuple[float, Measurement]]:
-    """Yield the measurements of a trial and their times in the scenario, s, in the order of lockstep.
+) -> Iterator[Arrived]:
+    """Yield the measurements of a trial, with their times in the scenario, in the order of lockstep.
 
     Frames of a sensor that is beyond its ``range_m`` are left out, since the estimator does not use them.
     """
@@ -155,7 +148,7 @@ def _frames(
             continue
         frame = local[due.sensor].frame(poses, motion.sun_W_m2(time_s), due)
         if frame is not None:
-            yield time_s, Measurement(due.sensor, frame, sensor.published_mount)
+            yield Arrived(time_s, Measurement(due.sensor, frame, sensor.published_mount))
 
 
 def _time_s(scenario: Scenario, stamp_ns: int) -> float:

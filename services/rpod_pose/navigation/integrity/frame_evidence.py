@@ -194,8 +194,9 @@ class FrameEvidence:
         """Return the solutions for the tested other sizes of the target, and those for sizes between.
 
         By Bayes's rule, the probability of another size is its prior times the odds of the frames. A size
-        that the frames have excluded is left out. Sizes between this one and the model's own keep the prior,
-        since no frame excludes them. One that the frames prefer has its odds, as a tested one has.
+        that the frames have excluded is left out. A size near the model's own keeps the prior at least, since
+        no frame excludes it. One between the two is at most as probable as the near one, since a likelihood
+        falls from its maximum on; without a near one it keeps the prior.
         The separation is the shift of the estimate, where a filter tells it (``sizes``), else that of the
         newest frame: an error of the model lasts as long as a view does.
 
@@ -210,15 +211,21 @@ class FrameEvidence:
         covariance = estimate.covariance[POSE, POSE]
         others, between = [], []
         for name, frames in self.sizes.items():
-            for size, log_odds in _log_odds(frames, correlated_s):
+            sizes = _log_odds(frames, correlated_s)
+            near = {size.share > 0.0: log_odds for size, log_odds in sizes if not size.tests}
+            for size, log_odds in sizes:
                 step = shifts[size.share] if size.share in shifts else turn @ size.step
                 probability = min(0.5 * share * exp(min(log_odds, MOST_LOG_ODDS)), 1.0)
                 text = f"{name}: {_of_size(1.0 + size.share)}"
                 if probability > (UNLIKELY * risk if size.tests else 0.5 * share):
                     others.append(Solution(text, step, covariance, probability))
-                part = UNRESOLVED if size.tests else 1.0
-                text = f"{name}: {_of_size(1.0 + part * size.share)}"
-                between.append(Solution(text, part * step, covariance, 0.25 * share))
+                if not size.tests:
+                    between.append(Solution(text, step, covariance, 0.5 * share))
+                    continue
+                probability = 0.5 * share * exp(min(near.get(size.share > 0.0, 0.0), 0.0))
+                text = f"{name}: {_of_size(1.0 + UNRESOLVED * size.share)}"
+                if probability > UNLIKELY * risk:
+                    between.append(Solution(text, UNRESOLVED * step, covariance, probability))
         return others, between
 
 

@@ -1,0 +1,86 @@
+"""A sequence of measurements through the navigator and the integrity monitor, in this process."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.measurement import Measurement
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.integrity.memory import Memory
+from rpod_pose.navigation.integrity.monitor import Monitor
+from rpod_pose.navigation.navigator import Navigator
+from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.ports import Methods
+from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.errors import Reason
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import EstimatorStatus, Integrity
+from rpod_target import Target
+
+
+class Arrived(NamedTuple):
+    """A measurement as the estimator gets it."""
+
+    time_s: float
+    measurement: Measurement
+    frozen: bool = False
+    """Whether the estimator refuses it, before the navigator, since it is identical to those before."""
+
+
+class Judged(NamedTuple):
+    """A measurement, and what the estimator publishes after it."""
+
+    arrived: Arrived
+    state: NavigatorState
+    output: Output
+    integrity: Integrity
+
+
+def judged(
+    settings: EstimatorSettings,
+    methods: Mapping[str, Methods],
+    model: Target,
+    arriving: Iterable[Arrived],
+    *,
+    T_chaser_target: RigidTransform,
+) -> Iterator[Judged]:
+    """Yield what the estimator publishes after each measurement.
+
+    Each measurement is asked for after the one before has been judged.
+
+    Args:
+        settings: settings of the estimator.
+        methods: methods by the sensor's name.
+        model: the target's model.
+        arriving: the measurements, in their order.
+        T_chaser_target: pose at which the navigator starts.
+    """
+    navigator = Navigator(
+        settings,
+        methods,
+        centre_of_mass_m=model.centre_of_mass_m,
+        alike=model.equivalence,
+        joints=model.joints,
+        dynamics=Dynamics.of(settings.dynamics, model),
+    )
+    monitor, memory = Monitor(settings), Memory()
+    state = navigator.start(T_chaser_target)
+    for each in arriving:
+        if each.frozen:
+            output = _refused(each.measurement, state)
+        else:
+            state, output = navigator.step(state, each.measurement)
+        memory, integrity = monitor.assess(memory, state, output, frozen=each.frozen)
+        yield Judged(each, state, output, integrity)
+
+
+def _refused(measurement: Measurement, state: NavigatorState) -> Output:
+    status = EstimatorStatus(
+        stamp_ns=measurement.stamp_ns,
+        frame_id=CHASER,
+        mode=state.mode,
+        sensor=measurement.sensor,
+        reason=Reason.FROZEN,
+    )
+    return Output(status, None)
