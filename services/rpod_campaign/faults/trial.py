@@ -91,7 +91,7 @@ def _planned(cell: FaultCell) -> tuple[PlannedFault, ...]:
 
 def _sensor_config(cell: FaultCell) -> SensorConfig:
     if cell.sensor == "lidar":
-        return lidar_of(cell.target)
+        return lidar_of(cell.target, cell.document)
     return camera_of(scenario_of(cell.document)).model_copy(update={"name": "pmd"})
 
 

@@ -154,7 +154,7 @@ def _methods(cell: IntegrityCell) -> dict[str, Methods]:
     return {
         each.name: ready_methods(each, model)
         if isinstance(each, PmdInput)
-        else ready_methods(each, model, pattern_of(lidar_of(cell.target)))
+        else ready_methods(each, model, pattern_of(lidar_of(cell.target, cell.document)))
         for each in inputs_of(cell)
     }
 

@@ -109,7 +109,8 @@ class Course:
                 yield self._scan(time_s)
 
     def _scan(self, time_s: float) -> Shown:
-        emulator = _emulator(self._cell.target, self._cell.world, self._seed)
+        cell = self._cell
+        emulator = _emulator(cell.target, cell.document, cell.world, self._seed)
         number = self._trial * round(LIDAR_S) + round(time_s)
         scan = scan_of(emulator, self.truth(time_s), trial=number, stamp_ns=_stamp_ns(time_s))
         return Shown(time_s, Measurement("lidar", scan, make_pose()))
@@ -148,10 +149,28 @@ def lidar_span_m(target: str) -> tuple[float, float]:
     return least_m, min(greatest_m, 1.5 * least_m)
 
 
+def _scenario_span_m(document: str) -> tuple[float, float]:
+    """Return the least and the greatest range of a scenario, by its positions at each second, m."""
+    scenario = scenario_of(document)
+    target = cached_target(scenario.target)
+    motion = build_motion(
+        scenario.motion,
+        centre_of_mass_m=target.centre_of_mass_m,
+        inertia_kg_m2=target.inertia_kg_m2,
+        duration_s=scenario.duration_s,
+    )
+    times_s = np.append(np.arange(0.0, scenario.duration_s), scenario.duration_s)
+    ranges_m = [float(np.linalg.norm(motion.state(t_s).T_chaser_target.translation)) for t_s in times_s]
+    return min(ranges_m), max(ranges_m)
+
+
 @lru_cache(maxsize=8)
-def lidar_of(target: str) -> LidarConfig:
-    """Return the 2015 paper's LIDAR, with a window and a step that give enough returns at the far end."""
-    least_m, greatest_m = lidar_span_m(target)
+def lidar_of(target: str, document: str = "") -> LidarConfig:
+    """Return the 2015 paper's LIDAR, with a window and a step that give enough returns at the far end.
+
+    Beside a camera the window holds the target in the camera's scenario, whose JSON is given.
+    """
+    least_m, greatest_m = _scenario_span_m(document) if document else lidar_span_m(target)
     wanted_deg = degrees(sqrt(window_of(target).silhouette_m2 / RETURNS) / greatest_m)
     step_deg = next((step for step in STEPS_DEG if step <= wanted_deg), STEPS_DEG[-1])
     radius_m = min(cached_target(target).radius_m, 0.95 * least_m)
@@ -160,5 +179,5 @@ def lidar_of(target: str) -> LidarConfig:
 
 
 @lru_cache(maxsize=4)
-def _emulator(target: str, world: WorldName, seed: int) -> LidarEmulator:
-    return emulator_of(target, lidar_of(target), seed, world=world)
+def _emulator(target: str, document: str, world: WorldName, seed: int) -> LidarEmulator:
+    return emulator_of(target, lidar_of(target, document), seed, world=world)

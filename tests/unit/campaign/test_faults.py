@@ -76,7 +76,7 @@ def shown(time_s):
 
 
 def test_a_sensor_announces_itself_and_its_frames_pass_through_the_fault(monkeypatch):
-    monkeypatch.setattr(trial, "lidar_of", lambda _: LidarConfig())
+    monkeypatch.setattr(trial, "lidar_of", lambda *_: LidarConfig())
     cell = cells(options(fault=("glints",)))[-1]
     sensor = trial._Sensor(cell, 0, shown(0.0))
     assert {message.topic.name for message in sensor.announcement()} == {"tf_static", "lidar/info"}

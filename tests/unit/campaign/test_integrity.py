@@ -5,13 +5,17 @@ import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rpod.scenarios import find
 from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.campaign import sizes_of
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import BY_NAME, Injector, TurnedTracker
 from rpod_campaign.integrity.report import poisson_interval, sections, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
+from rpod_campaign.sequences.cells import document_of
+from rpod_campaign.sequences.course import lidar_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
@@ -38,6 +42,14 @@ def test_a_drift_of_ranges_lengthens_returns_along_their_rays_and_nothing_else()
 def test_both_sensors_have_the_middle_size_of_each_fault():
     assert sizes_of("clock_behind", "both") == (0.05,)
     assert sizes_of("clock_behind", "lidar") == (0.01, 0.05, 0.2)
+
+
+def test_beside_a_camera_the_lidars_window_holds_the_whole_target():
+    document = document_of({"mockup-tumbling": find("mockup-tumbling")}, "both", "mockup", "documented")
+    pattern = lidar_of("mockup", document).pattern
+    least_m, radius_m = 2.0, cached_target("mockup").radius_m
+    half_deg = 0.5 * min(pattern.azimuth_span_deg, pattern.elevation_span_deg)
+    assert half_deg > np.rad2deg(np.arcsin(radius_m / least_m))
 
 
 def test_a_clock_behind_stamps_earlier_and_a_mount_off_turns_the_mount():
