@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inlined_kernel, kernel
-from rpod_pose.lidar.outline.places import Places, on_plane, places
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
+from rpod_pose.lidar.outline.places import Places, along, cross, dot, places, ray_of, row_of
 from rpod_pose.lidar.posterior.step_posterior import Steps
 from rpod_pose.lidar.returns.detection import LEAST_LOG, RUNGS, RUNGS_PER_LOG
 from rpod_pose.lidar.scan_likelihood import PEAK, STEEPEST, Assumptions, Rays
-from rpod_pose.registration.lie_group import PoseArrays, in_target
+from rpod_pose.registration.lie_group import PoseArrays, Vector, in_target
 from rpod_schemas.arrays import FloatArray
 
 FARTHEST = 4
@@ -72,8 +72,38 @@ class Beside(NamedTuple):
     """Number of the place."""
     ray: int
     """Row-major index of the ray."""
+    direction: Vector
+    """Its unit vector, sensor axes."""
     odds: float
     """Log ratio of the likelihoods of its result if it meets the near surface and if it passes."""
+
+
+class Surface(NamedTuple):
+    """What the likelihood of a ray's result takes: few arrays, since each use of a record counts them all."""
+
+    t: Vector
+    """Position of the target in the sensor, but in target axes, m."""
+    normals: FloatArray
+    """``Faces.normals``, shape (T, 3)."""
+    offsets_m: FloatArray
+    """``Faces.offsets_m``, shape (T,)."""
+    albedo: FloatArray
+    """``Faces.albedo``, shape (T,)."""
+    share: FloatArray
+    """Probability of a return, by echo, shape (RUNGS,)."""
+    log_missing: FloatArray
+    """Log probability of no return, by echo, shape (RUNGS,)."""
+    noise: "Noise"
+
+
+class Noise(NamedTuple):
+    """Statistics of returns; the fields are those of ``Assumptions``."""
+
+    variance_m2: float
+    slack_m: float
+    clutter_density: float
+    clutter_share: float
+    least_range_m: float
 
 
 @kernel
@@ -82,74 +112,90 @@ def outline_steps(scene: Scene) -> Steps:
 
     On each side, rays are followed until one is consistent with the pose, at most ``FARTHEST`` of them.
     """
-    outline = places(scene.pose, scene.rays, scene.assumed)
+    outline, surface = places(scene.pose, scene.rays, scene.assumed), _surface(scene)
+    components, face, measured_m, R = scene.rays.grid.components, scene.rays.face, scene.range_m, scene.pose.R
+    height, width = face.shape
     most = 2 * FARTHEST * outline.number
     found = Found(
         np.zeros(1, np.int64),
         Steps(most, np.empty((most, 6)), np.empty(most), np.empty(most)),
         np.empty(most, np.int32),
-        np.full((scene.range_m.size, LINES), np.int32(-1)),
+        np.full((height * width, LINES), np.int32(-1)),
     )
     for n in range(outline.number):
-        outwards = outline.rays[n, 1] - outline.rays[n, 0]
+        front, back = outline.rays[n, 0], outline.rays[n, 1]
+        ends, behind = outline.faces[n, 0], outline.faces[n, 1]
         for inside in range(2):
-            first = outline.rays[n, 0] if inside else outline.rays[n, 1]
-            onwards = -outwards if inside else outwards
+            first, onwards = (front, front - back) if inside else (back, back - front)
             for away in range(FARTHEST):
                 ray = first + away * onwards
-                if not _is_in_line(ray, first, outwards, scene.rays):
+                i, j = ray // width, ray % width
+                if ray < 0 or i >= height or (abs(onwards) != width and i != first // width):
                     break
-                odds = _odds(scene, outline, n, ray, inside)
+                here, direction = int(np.int64(face[i, j])), ray_of(components, i, j)
+                near, far = (here, behind) if inside else (ends, here)
+                d = in_target(R, direction.x, direction.y, direction.z)
+                odds = _odds(measured_m[i, j], near, far, d, surface)
                 contradicts = odds < 0.0 if inside else odds > 0.0
                 if away == 0 or contradicts:
-                    _add(found, scene, outline, Beside(n, ray, odds))
+                    _add(found, scene.pose, outline, Beside(n, ray, direction, odds))
                 if not contradicts:
                     break
     number, steps = found.number[0], found.steps
     return Steps(number, steps.rows[:number], steps.distance_m[:number], steps.odds[:number])
 
 
+@inner_kernel
+def _surface(scene: Scene) -> Surface:
+    """Return what the likelihoods of a scene's rays take."""
+    pose, faces, assumed = scene.pose, scene.rays.faces, scene.assumed
+    share, log_missing = assumed.detection.share[scene.power], assumed.detection.log_missing[scene.power]
+    t = in_target(pose.R, pose.t[0], pose.t[1], pose.t[2])
+    noise = Noise(
+        assumed.sigma_m * assumed.sigma_m,
+        assumed.slack_m,
+        assumed.clutter_density,
+        assumed.clutter_share,
+        assumed.least_range_m,
+    )
+    return Surface(t, faces.normals, faces.offsets_m, faces.albedo, share, log_missing, noise)
+
+
 @inlined_kernel
-def _odds(scene: Scene, outline: Places, place: int, ray: int, inside: int) -> float:
-    """Return the log ratio of the likelihoods of a ray's result if it meets the near surface and if not.
+def _odds(m: float, near: int, far: int, direction: Vector, surface: Surface) -> float:
+    """Return the log ratio of the likelihoods of a ray's result if it meets one face and if another one.
 
     Args:
-        scene: scan and pose.
-        outline: places of the outline.
-        place: number of the place beside which the ray lies.
-        ray: row-major index of the ray.
-        inside: 1 for a ray that meets the near surface at the pose, 0 for one that passes it.
+        m: measured range, 0 without a return, negative where something hides the target.
+        near: the near face, -1 for none.
+        far: the face behind it, -1 for none.
+        direction: the ray's unit vector, target axes.
+        surface: the target's surface.
     """
-    width = scene.range_m.shape[1]
-    here = int(np.int64(scene.rays.face[ray // width, ray % width]))
-    near = _log_likelihood(scene, ray, here if inside else outline.faces[place, 0])
-    far = _log_likelihood(scene, ray, outline.faces[place, 1] if inside else here)
-    return min(max(near - far, -MOST_ODDS), MOST_ODDS)
+    odds = _log_likelihood(m, near, direction, surface) - _log_likelihood(m, far, direction, surface)
+    return min(max(odds, -MOST_ODDS), MOST_ODDS)
 
 
 @inlined_kernel
-def _add(found: Found, scene: Scene, outline: Places, beside: Beside) -> None:
+def _add(found: Found, pose: PoseArrays, outline: Places, beside: Beside) -> None:
     """Add a ray beside a place of the outline to the steps, unless it has a step of the same line already.
 
     Args:
         found: steps so far, input and output.
-        scene: scan and pose.
+        pose: pose of the target in the sensor.
         outline: places of the outline.
         beside: the ray and the place.
     """
-    n, ray = beside.place, beside.ray
-    width, components, r = scene.range_m.shape[1], scene.rays.grid.components, outline.range_m[n]
-    i, j, s, apart = ray // width, ray % width, 0.0, 0.0
-    for k in range(3):
-        s += r * outline.normal[n, k] * components[k, i, j]
-        apart += (r * (components[k, i, j] - outline.direction[n, k])) ** 2
+    n, ray, r, away = beside.place, beside.ray, outline.range_m[beside.place], beside.direction
+    normal, place = row_of(outline.normal, n), row_of(outline.direction, n)
+    x, y, z = r * (away.x - place.x), r * (away.y - place.y), r * (away.z - place.z)
+    s = r * normal.x * away.x + r * normal.y * away.y + r * normal.z * away.z
+    apart = sqrt(x * x + y * y + z * z)
     slot = 0
     while slot < LINES and found.of_ray[ray, slot] >= 0:
         known = found.of_ray[ray, slot]
-        other, cosine = found.place[known], 0.0
-        for k in range(3):
-            cosine += outline.normal[other, k] * outline.normal[n, k]
-        if cosine > SAME_LINE and abs(found.steps.distance_m[known] - s) < SAME_PLACE * sqrt(apart):
+        cosine = dot(row_of(outline.normal, found.place[known]), normal)
+        if cosine > SAME_LINE and abs(found.steps.distance_m[known] - s) < SAME_PLACE * apart:
             return
         slot += 1
     number = found.number[0]
@@ -157,67 +203,54 @@ def _add(found: Found, scene: Scene, outline: Places, beside: Beside) -> None:
         found.of_ray[ray, slot] = number
     found.place[number] = n
     found.steps.distance_m[number], found.steps.odds[number] = s, beside.odds
-    _fill_row(found.steps.rows[number], scene.pose, outline, n)
+    _fill_row(found.steps.rows, number, pose, normal, Vector(r * place.x, r * place.y, r * place.z))
     found.number[0] = number + 1
 
 
 @inlined_kernel
-def _is_in_line(ray: int, start: int, outwards: int, rays: Rays) -> bool:
-    """Return whether a ray lies in the same row or column of the pattern as the ray at which a count starts.
+def _log_likelihood(m: float, face: int, direction: Vector, surface: Surface) -> float:
+    """Return the log likelihood of a ray's result if it meets a face; other arguments as for ``_odds``.
 
     Args:
-        ray: row-major index of the ray.
-        start: row-major index of the other ray.
-        outwards: step from one ray to the next, a row or a column.
-        rays: rays of the pattern.
+        m: measured range.
+        face: the face, -1 for none.
+        direction: the ray's unit vector.
+        surface: the target's surface.
     """
-    height, width = rays.face.shape
-    if ray < 0 or ray >= height * width:
-        return False
-    return bool(abs(outwards) == width or ray // width == start // width)
-
-
-@inlined_kernel
-def _log_likelihood(scene: Scene, ray: int, face: int) -> float:
-    """Return the log likelihood of the result of a ray, a row-major index, if it meets a face (-1: none)."""
-    rays, pose, assumed, width = scene.rays, scene.pose, scene.assumed, scene.range_m.shape[1]
-    i, j, density = ray // width, ray % width, assumed.clutter_density
-    m = scene.range_m[i, j]
+    noise = surface.noise
     if m < 0.0:
         return 0.0  # something hides the target
     if face < 0:
-        return log(density) if m > 0.0 else log(1.0 - assumed.clutter_share)
-    components, normal = rays.grid.components, rays.faces.normals[face]
-    d = in_target(pose.R, components[0, i, j], components[1, i, j], components[2, i, j])
-    cosine = max(-(normal[0] * d.x + normal[1] * d.y + normal[2] * d.z), STEEPEST)
-    r = on_plane(pose, rays, face, ray)
-    echo = cosine * rays.faces.albedo[face] * (assumed.least_range_m / r) ** 2
+        return log(noise.clutter_density) if m > 0.0 else log(1.0 - noise.clutter_share)
+    normal = row_of(surface.normals, face)
+    cosine = max(-dot(normal, direction), STEEPEST)
+    r = along(normal, surface.offsets_m[face], surface.t, direction)
+    echo = cosine * surface.albedo[face] * (noise.least_range_m / r) ** 2
     rung = min(max(int((log(max(echo, 1e-9)) - LEAST_LOG) * RUNGS_PER_LOG), 0), RUNGS - 1)
     if m <= 0.0:
-        return float(assumed.detection.log_missing[scene.power, rung])
-    lateral_m = assumed.slack_m / cosine
-    variance = assumed.sigma_m * assumed.sigma_m + lateral_m * lateral_m
+        return float(surface.log_missing[rung])
+    lateral_m = noise.slack_m / cosine
+    variance = noise.variance_m2 + lateral_m * lateral_m
     tail = 1.0 + 0.25 * (m - r) * (m - r) / variance
     near = PEAK / (sqrt(variance * tail) * tail * tail)
-    return float(log(near * assumed.detection.share[scene.power, rung] + density))
+    return float(log(near * surface.share[rung] + noise.clutter_density))
 
 
 @inlined_kernel
-def _fill_row(row: FloatArray, pose: PoseArrays, outline: Places, place: int) -> None:
+def _fill_row(rows: FloatArray, number: int, pose: PoseArrays, normal: Vector, place: Vector) -> None:
     """Fill the derivatives of a ray's distance from the outline with respect to (dtau, dtheta), shape (6,).
 
     The normal points inwards. If the target moves by d along it, the distance of the ray decreases by d.
 
     Args:
-        row: output.
+        rows: output, shape (E, 6).
+        number: index of the row.
         pose: pose of the target in the sensor.
-        outline: places of the outline.
-        place: number of the place.
+        normal: the outline's normal, sensor axes.
+        place: the place of the outline, sensor axes, m.
     """
-    normal, direction, r = outline.normal[place], outline.direction[place], outline.range_m[place]
-    n = in_target(pose.R, normal[0], normal[1], normal[2])
-    x = in_target(
-        pose.R, r * direction[0] - pose.t[0], r * direction[1] - pose.t[1], r * direction[2] - pose.t[2]
-    )
-    row[0], row[1], row[2] = -n.x, -n.y, -n.z
-    row[3], row[4], row[5] = n.y * x.z - n.z * x.y, n.z * x.x - n.x * x.z, n.x * x.y - n.y * x.x
+    n, t = in_target(pose.R, normal.x, normal.y, normal.z), pose.t
+    x = in_target(pose.R, place.x - t[0], place.y - t[1], place.z - t[2])
+    rows[number, 0], rows[number, 1], rows[number, 2] = -n.x, -n.y, -n.z
+    moved = cross(x, n)
+    rows[number, 3], rows[number, 4], rows[number, 5] = -moved.x, -moved.y, -moved.z
