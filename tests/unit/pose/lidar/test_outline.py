@@ -5,19 +5,22 @@ import pytest
 from lidar_scans import load, random_pose, scan_at, tracker
 
 from rpod_geometry.rays import cast
+from rpod_pose.lidar.outline.places import MOST_CROSSINGS
 from rpod_pose.lidar.outline.steps import Scene, outline_steps
 from rpod_pose.lidar.scan_likelihood import Rays
 from rpod_pose.registration.lie_group import PoseArrays, stepped
-from rpod_pose.registration.surface_model import cast_faces
+from rpod_pose.registration.surface_model import Edges, cast_faces
 from rpod_schemas.poses import pose_of
 
 MESH = "envisat-mesh"
 
 
-def steps_at(pose, scan, target="envisat-bulky"):
-    view, model, surface = tracker(target).view, tracker(target).model, tracker(target).surface
-    rays = Rays(view.grid.arrays, surface.faces, view.hits.range_m, view.hits.triangle)
-    cast_faces(view.grid.arrays, surface.faces, pose.R, pose.t, view.hits.arrays)
+def steps_at(pose, scan, target="envisat-bulky", copies=1):
+    view, model, faces = tracker(target).view, tracker(target).model, tracker(target).surface.faces
+    ends_m, beside = faces.edges
+    edges = Edges(np.repeat(ends_m, copies, axis=0), np.repeat(beside, copies, axis=0))
+    rays = Rays(view.grid.arrays, faces._replace(edges=edges), view.hits.range_m, view.hits.triangle)
+    cast_faces(view.grid.arrays, faces, pose.R, pose.t, view.hits.arrays)
     return outline_steps(Scene(view.seen(scan).range_m, pose, rays, model.assumed, 0))
 
 
@@ -65,3 +68,13 @@ def test_a_target_beside_the_field_of_view_has_no_outline_in_it():
     T = pose_of(np.eye(3), np.array((100.0, 0.0, 10.0)))
     assert not (cast(tracker().view.grid, load("envisat-bulky").triangles_m, T).triangle >= 0).any()
     assert steps_at(PoseArrays.of(T), scan_at(random_pose(0))).number == 0
+
+
+def test_more_edges_between_two_rays_than_there_is_memory_at_first_are_all_compared():
+    T = random_pose(4, 30.0)
+    once, often = (
+        steps_at(PoseArrays.of(T), scan_at(T, frame=4), copies=copies) for copies in (1, 2 * MOST_CROSSINGS)
+    )
+    assert once.number > 40
+    np.testing.assert_array_equal(once.rows, often.rows)
+    np.testing.assert_array_equal(once.distance_m, often.distance_m)
