@@ -52,6 +52,8 @@ Hand: a larger value samples near more poses, a smaller one may miss a rival."""
 ABSORBED = 22.5
 """Largest squared distance, in standard deviations, of a pose that belongs to the posterior of another one.
 Physics: the chi-square distribution with six degrees of freedom exceeds it once in 1,000."""
+FURTHER = 2
+"""Number of turns of the main faces that are aligned with a scan of many returns. Numerics: a budget."""
 OF_NOTHING_RAD = np.deg2rad(104.0)
 """Standard deviation of an unknown angle. Physics: 360 deg over sqrt(12)."""
 
@@ -325,23 +327,14 @@ class ScanSearch:
     def _turned(self, pose: Pose, count: int) -> list[Pose]:
         """Return a pose's near-symmetries and best other turns, at its position and at the centroid."""
         turns = self._model.turns
-        if not len(turns.all):  # each of them is an exact symmetry, as of a cube
-            return []
-        turned = (pose.R @ turns.all).astype(np.float32)
-        here_m = np.tile(pose.t, (len(turned), 1)).astype(np.float32)
-        here = self._comparison.energies(turned, here_m, rounds=0)
-        here[: turns.declared] = 0.0
-        centred, centred_m = self._comparison.centroid_aligned(turned)
-        energy = self._comparison.energies(centred, centred_m, rounds=2).reshape(len(turned), -1)
-        best_m = centred_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
-        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
+        found = self._best_turned(pose, turns.all, count, sure=turns.declared)
+        return found if self.few else found + self._best_turned(pose, turns.further, FURTHER)
+
+    def _best_turned(self, pose: Pose, turns: FloatArray, count: int, *, sure: int = 0) -> list[Pose]:
+        """Return a pose after the best of some turns; the arguments are those of ``Comparison.turned``."""
         return [
-            self._improved(self.unrefined(pose.R @ turns.all[index], pose.t), self._rough_m)
-            if index < len(turned)
-            else self._field_aligned(
-                pose.R @ turns.all[index - len(turned)], best_m[index - len(turned)].astype(np.float64)
-            )
-            for index in order
+            self._improved(self.unrefined(R, t), self._rough_m) if t is pose.t else self._field_aligned(R, t)
+            for R, t in self._comparison.turned(PoseArrays(pose.R, pose.t), turns, count, sure=sure)
         ]
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:

@@ -76,6 +76,30 @@ class Comparison:
         places_m = self.centroid_m - (attitudes @ offsets_m[..., None])[..., 0]
         return attitudes, places_m.astype(np.float32)
 
+    def turned(self, pose: PoseArrays, turns: FloatArray, count: int, *, sure: int) -> list[PoseArrays]:
+        """Return a pose after the best of some turns, at its own position or at the centroid, best first.
+
+        Args:
+            pose: the pose; those at its position have its own array.
+            turns: rotations of the target, shape (T, 3, 3).
+            count: number of poses in the result.
+            sure: number of the first turns that are among the best at the pose's position in any case.
+        """
+        if not len(turns):  # each of them is an exact symmetry, as of a cube
+            return []
+        turned = (pose.R @ turns).astype(np.float32)
+        here = self.energies(turned, np.tile(pose.t, (len(turned), 1)).astype(np.float32), rounds=0)
+        here[:sure] = 0.0
+        centred, centred_m = self.centroid_aligned(turned)
+        energy = self.energies(centred, centred_m, rounds=2).reshape(len(turned), -1)
+        best_m = centred_m.reshape(len(turned), -1, 3)[np.arange(len(turned)), energy.argmin(axis=1)]
+        order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
+        turn, there = order % len(turned), order >= len(turned)
+        return [
+            PoseArrays(pose.R @ turns[k], best_m[k].astype(np.float64) if centre else pose.t)
+            for k, centre in zip(turn, there, strict=True)
+        ]
+
     def energies(
         self, attitudes: Float32Array, places_m: Float32Array, *, rounds: int, roughly: bool = False
     ) -> Float32Array:

@@ -19,6 +19,10 @@ HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
 LEAST_TURN_DEG = 1.0
 """Rotations by a smaller angle count as the identity. Hand: axes in target files are rounded."""
 
+SAME_TURN_DEG = 10.0
+"""Angle below which an alignment corrects the difference of two turns. Numerics: half the distance of the
+attitudes of the search's first level."""
+
 
 class Placed(Protocol):
     """A pose of the target in the sensor."""
@@ -48,6 +52,8 @@ class Turns:
     faces: FloatArray
     """Further rotations that map the main faces onto each other (``face_turns``), without the identity, shape
     (F, 3, 3)."""
+    further: FloatArray
+    """Those of ``faces`` that differ from ``all``, shape (N, 3, 3)."""
     about: RoundTurns
     """Turns about the axis of a nearly round target; none if it is not round, or has a free axis."""
     exact: Equivalence
@@ -71,8 +77,9 @@ class Turns:
         halves = [Rotation.from_rotvec(0.5 * Rotation.from_matrix(turn).as_rotvec()) for turn in exact.turns]
         every = _distinct([*declared, *Rotation.create_group("O"), *halves], exact)
         faces = _distinct([*declared, *face_turns(target)], exact)[len(declared) :]
+        further = [turn for turn in faces if not _is_known(turn, every, exact)]
         about = RoundTurns.none() if len(exact.free_axes) else round_turns(target)
-        return cls(_matrices(every), len(declared), _matrices(faces), about, exact)
+        return cls(_matrices(every), len(declared), _matrices(faces), _matrices(further), about, exact)
 
     def close(self, attitudes: FloatArray, others: FloatArray, angle_deg: float) -> NDArray[np.bool_]:
         """Return which attitudes are within an angle of which others, modulo the exact symmetries.
@@ -111,6 +118,14 @@ def _matrices(turns: Sequence[Rotation]) -> FloatArray:
 def matrices(poses: Sequence[Placed]) -> FloatArray:
     """Return the attitudes of poses, R_sensor_target, shape (P, 3, 3)."""
     return np.array([pose.R for pose in poses]).reshape(-1, 3, 3)
+
+
+def _is_known(turn: Rotation, known: Sequence[Rotation], exact: Equivalence) -> bool:
+    """Return whether an alignment from one of the known rotations would end at this one too."""
+    if not known:
+        return False
+    cosines = exact.cosines(_matrices(known), turn.as_matrix()[None])
+    return bool(cosines.max() > cos(radians(SAME_TURN_DEG)))
 
 
 def _distinct(turns: Sequence[Rotation], exact: Equivalence) -> list[Rotation]:

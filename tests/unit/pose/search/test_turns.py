@@ -16,7 +16,7 @@ from rpod_target import Equivalence, load_target
 ORIGIN = np.zeros(3)
 HALF = Rotation.from_euler("z", 180.0, degrees=True).as_matrix()
 NONE = np.zeros((0, 3, 3))
-HALF_TURN = Turns(NONE, 0, NONE, RoundTurns.none(), Equivalence(np.stack((np.eye(3), HALF))))
+HALF_TURN = Turns(NONE, 0, NONE, NONE, RoundTurns.none(), Equivalence(np.stack((np.eye(3), HALF))))
 
 
 @dataclass(frozen=True, eq=False)
