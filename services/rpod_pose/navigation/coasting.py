@@ -11,7 +11,7 @@ from math import degrees
 import numpy as np
 
 from rpod_pose.belief import worst_sigma
-from rpod_pose.navigation.filter import POSE, FilterState, predict
+from rpod_pose.navigation.filter import POSE, UNSEEN, FilterState, predict
 from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Registration
@@ -47,11 +47,14 @@ class Coasting:
     def mode_after(self, state: NavigatorState, registration: Registration, stamp_ns: int) -> Mode:
         """Return the mode of a track that has accepted a frame.
 
-        A frame may leave a direction of the pose undetermined, as of a face that fills the image. There the
-        track is predicted as without a frame. When its covariance has passed the alert limit, it coasts until
-        frames bring the covariance back. It is not lost as long as frames support it elsewhere.
+        A frame may leave a direction of the pose open, as of a face that fills the image. There the track is
+        predicted as without a frame. Its method says so (``undetermined``), or the filter assumes that the
+        target may accelerate there unseen. When its covariance has passed the alert limit, the track coasts
+        until frames bring the covariance back. It is not lost as long as frames support it elsewhere.
         """
-        coasts = state.mode == Mode.COASTING or bool(registration.belief.undetermined)
+        newest = state.history.state if state.history else None
+        unseen = newest is not None and UNSEEN in newest.places()
+        coasts = state.mode == Mode.COASTING or bool(registration.belief.undetermined) or unseen
         return Mode.COASTING if coasts and self.unusable(state, stamp_ns) else Mode.TRACKING
 
     def _is_supported(self, state: NavigatorState, stamp_ns: int) -> bool:

@@ -68,6 +68,8 @@ class JointFrame:
     view: DepthView
     range_m: FloatArray
     """Range of the coarse pixels, shape (rows, columns); NaN if a pixel has none."""
+    every_range_m: FloatArray
+    """The same with the ranges whose noise is above ``most_noise_m``."""
     sigma_m: FloatArray
     """Standard deviation of the ranges' noise, same shape."""
     shade: FloatArray
@@ -129,6 +131,7 @@ class JointFrame:
         images = DepthImages(frame.depth_m, amplitude, least)
         rays_z = view.coarse.components[2]
         range_m, sigma_m, strengths, shade = coarse_ranges(images, rays_z, pixels, steepest)
+        every_range_m = range_m.copy()
         range_m[sigma_m > tuning.check.most_noise_m] = np.nan
         measured = _measured(range_m, tuning.depth.points)
         rays = view.coarse.components.reshape(3, -1)[:, measured]
@@ -150,6 +153,7 @@ class JointFrame:
         return cls(
             view,
             range_m,
+            every_range_m,
             sigma_m,
             shade,
             typical,

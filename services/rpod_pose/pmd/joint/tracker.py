@@ -36,6 +36,7 @@ from rpod_pose.pmd.joint.alternatives import (
 from rpod_pose.pmd.joint.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.check.belief import by_distances, edges_in_place, frame_belief, source_of
 from rpod_pose.pmd.joint.check.bright_beyond import marked, or_by_depth
+from rpod_pose.pmd.joint.check.noisy_ranges import MedianError
 from rpod_pose.pmd.joint.check.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.depth_points import Planes
 from rpod_pose.pmd.joint.edge_lines import line_sums
@@ -320,16 +321,16 @@ class JointTracker:
             return Registration.none(Source.PMD_JOINT, reason)
         pose, buffers = aligned.fit.state.pose, self._buffers_of(seen.view)
         inconsistent = self._check.contradictions(seen, pose, bias, buffers)
-        in_place, range_m = self._edges_in_place(seen, aligned), float(np.linalg.norm(t))
-        belief = frame_belief(
-            tuning, inconsistent, in_place, bias_m=bias, sigma_m=self._ranges.bias_m, range_m=range_m
-        )
+        ranges = MedianError.of(seen.every_range_m, buffers, tuning.acceptance.bias_sigmas)
+        known, sigma_m = self._uncertainty(seen, sights, aligned), self._ranges.bias_m
+        measured, in_place = points >= tuning.acceptance.min_points, self._edges_in_place(seen, aligned)
+        far_off = "" if measured else ranges.reason(tuning.acceptance, sigma_m, t, known.covariance)
+        scale = {"bias_m": bias, "sigma_m": sigma_m, "range_m": float(np.linalg.norm(t))}
+        belief = frame_belief(tuning, inconsistent, in_place, **scale, far_off=far_off)
         if inconsistent.reason(tuning.check):
             marks = PixelMarks(inconsistent.marked, seen.view.stride)
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
-        known = self._uncertainty(seen, sights, aligned)
-        measured = points >= tuning.acceptance.min_points
         return Registration(
             source_of(tuning.acceptance, points=points, edges=checked),
             T_sensor_target=pose_of(R, t),

@@ -39,7 +39,7 @@ from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, PmdFrame, Source
+from rpod_schemas.types import BeliefLevel, Camera, PmdFrame, Source
 from rpod_sim_sensor.pmd import PmdEmulator
 from rpod_target import load_target
 
@@ -448,3 +448,13 @@ def test_before_a_wall_as_bright_as_the_target_the_depth_alone_measures_the_pose
     assert nees_of(found, truth) < 20.0
     elsewhere = JointTracker(JointConfig(), HEXAGON).track(seen, off(truth, 60.0, 0.03))
     assert not elsewhere.belief.continues_track
+
+
+@pytest.mark.parametrize(("off_m", "level"), [(0.0, BeliefLevel.ACCEPTED), (0.5, BeliefLevel.CONTRADICTED)])
+def test_a_pose_by_the_edges_alone_is_contradicted_by_the_median_of_noisy_ranges(off_m, level):
+    noise_m = 0.5 * np.random.default_rng(2).standard_normal(FRAME.depth_m.shape)
+    noisy = FRAME.model_copy(update={"depth_m": (FRAME.depth_m + noise_m + off_m).astype(np.float32)})
+    found = TRACKER.track(noisy, TRUTH)
+    assert found.source is Source.PMD_AMPLITUDE
+    assert found.belief.level is level
+    assert ("noisy ones too" in found.belief.reason) == (level is BeliefLevel.CONTRADICTED)

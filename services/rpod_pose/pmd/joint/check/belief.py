@@ -23,6 +23,7 @@ def frame_belief(
     bias_m: float,
     sigma_m: float,
     range_m: float,
+    far_off: str = "",
 ) -> Belief:
     """Return the belief in a pose, with its evidence.
 
@@ -33,6 +34,7 @@ def frame_belief(
         bias_m: fitted length by which all ranges are longer than the edges require.
         sigma_m: standard deviation of the camera's bias.
         range_m: distance of the target.
+        far_off: why noisy ranges contradict a pose by the edges alone; empty if they do not.
     """
     limits = tuning.acceptance
     scale = {"bias_m": bias_m, "sigma_m": sigma_m, "range_m": range_m}
@@ -43,7 +45,10 @@ def frame_belief(
         "range_bias_sigmas": bias_sigmas(limits, **scale),
     }
     reason = (
-        inconsistent.reason(tuning.check) or misplaced_edges(limits, in_place) or wrong_scale(limits, **scale)
+        inconsistent.reason(tuning.check)
+        or misplaced_edges(limits, in_place)
+        or wrong_scale(limits, **scale)
+        or far_off
     )
     if reason:
         return contradicted(reason, **evidence)
