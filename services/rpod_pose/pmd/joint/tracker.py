@@ -136,7 +136,7 @@ class JointTracker:
         """Return the registration from a predicted pose, or the reason why the frame gives none."""
         tracked = partial(self._tracked, T_sensor_target=T_sensor_target)
         found, by_depth = or_by_depth(tracked, measurement, lambda found: found.continues_track)
-        return marked(found) if by_depth else found
+        return marked(self._check.by_extent(measurement, found)) if by_depth else found
 
     def _tracked(self, measurement: PmdFrame, T_sensor_target: RigidTransform) -> Registration:
         pose = PoseArrays.of(T_sensor_target)

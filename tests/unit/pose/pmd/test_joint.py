@@ -458,3 +458,14 @@ def test_a_pose_by_the_edges_alone_is_contradicted_by_the_median_of_noisy_ranges
     assert found.source is Source.PMD_AMPLITUDE
     assert found.belief.level is level
     assert ("noisy ones too" in found.belief.reason) == (level is BeliefLevel.CONTRADICTED)
+
+
+def test_a_smaller_body_before_something_bright_without_ranges_is_not_tracked_by_depth() -> None:
+    """Bright pixels on the target's surface have no range, as far as the depth shows a part of it only."""
+    seen, truth = before_a_wall(1, 200.0, 2.5)
+    rows, _ = np.nonzero(seen.depth_m > 0.0)
+    depth_m = seen.depth_m.copy()
+    depth_m[: int(np.percentile(rows, 30.0))] = np.nan
+    found = JointTracker(JointConfig(), HEXAGON).track(seen.model_copy(update={"depth_m": depth_m}), truth)
+    assert found.belief.level is BeliefLevel.CONTRADICTED
+    assert "bright pixels on the target's surface have no range" in found.belief.reason

@@ -10,9 +10,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from rpod_pose.belief import AMPLITUDE_LEFT_OUT
-from rpod_pose.pmd.joint.check.frame_check import BRIGHT
+from rpod_pose.belief import AMPLITUDE_LEFT_OUT, contradicted
+from rpod_pose.pmd.joint.check.frame_check import BRIGHT, Contradictions
 from rpod_pose.ports import Registration
+from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.types import PmdFrame
 
 SPARSE = 4
@@ -42,6 +43,20 @@ def marked(found: Registration) -> Registration:
     """Return a registration whose belief says that the amplitude was left out: it begins no track."""
     evidence = {**found.belief.evidence, AMPLITUDE_LEFT_OUT: 1.0}
     return replace(found, belief=replace(found.belief, evidence=evidence, insufficient=_LEFT_OUT))
+
+
+def unsupported(found: Registration, missing: Contradictions, limits: PmdCheckConfig) -> Registration:
+    """Return a registration by the depth alone, contradicted if too many ranges of its surface are missing.
+
+    Args:
+        found: the registration.
+        missing: pixels on its surface that have no range although they are bright.
+        limits: as for other inconsistent pixels.
+    """
+    if not (reason := missing.reason(limits)):
+        return found
+    reason = f"bright pixels on the target's surface have no range: {reason}; is it another body?"
+    return replace(found, belief=contradicted(reason, **found.belief.evidence))
 
 
 def is_bright_beyond(frame: PmdFrame) -> bool:

@@ -63,6 +63,6 @@ class MedianError(NamedTuple):
         if not (self.lowest_m > most_m or self.highest_m < -most_m):
             return ""
         return (
-            f"the median of {self.number} ranges, noisy ones too, differs by at least {off_m:+.2f} m from the "
+            f"the median of {self.number} ranges, noisy ones too, is at least {off_m:+.2f} m from the "
             f"distance that the edges give, limit {most_m:.2f} m"
         )

@@ -9,24 +9,30 @@ differ by centimetres.
 
 from functools import partial
 
+import cv2
 import numpy as np
 from scipy.constants import speed_of_light
 
-from rpod_geometry.rays import RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.check.frame_check import Contradictions, SeenPixels, contradictions
+from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.check.bright_beyond import unsupported
+from rpod_pose.pmd.joint.check.frame_check import BRIGHT, Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.check.reflections import reflected_m
 from rpod_pose.pmd.joint.fit import Measured, agreement
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.rendering import FineRanges, Rendering
+from rpod_pose.ports import Registration
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointTuning, RangeErrorConfig
+from rpod_schemas.types import PmdFrame
 from rpod_target import Target
 
 PERIODS = 8.0
 """Number of periods of the error in one wavelength of the modulation; the light travels twice the range.
 Physics: four samples alias the third and the fifth harmonic to four periods in half a wavelength."""
+NEIGHBOURS = np.ones((3, 3), np.uint8)
+"""A pixel and those around it. Physics: 3 x 3."""
 ROUNDS = 3
 """Number of weighted fits; each reduces the weights of outliers. Numerics: a budget of computation."""
 
@@ -45,7 +51,7 @@ class PixelCheck:
         self, target: Target, tuning: JointTuning, ranges: RangeErrorConfig, renderer: PatchRenderer
     ) -> None:
         self._radius_m, self._triangles_m = target.radius_m, np.ascontiguousarray(target.triangles_m)
-        self._limits, self._ranges, self._renderer = tuning.check, ranges, renderer
+        self._tuning, self._limits, self._ranges, self._renderer = tuning, tuning.check, ranges, renderer
         self._near_m = max(tuning.near_depth_share * target.radius_m, ranges.bias_m)
         self._missing_weight = tuning.missing_weight
         self._reflected_m = reflected_m(target)
@@ -96,6 +102,35 @@ class PixelCheck:
         measured = Measured(seen.range_m, seen.sigma_m, self._near_m, self._missing_weight)
         agreeing, checked = agreement(measured, seen.view.coarse.arrays, self._triangles_m, pose, buffers)
         return agreeing / checked if checked else 0.0
+
+    def by_extent(self, frame: PmdFrame, found: Registration) -> Registration:
+        """Return a registration by depth alone, contradicted if ranges of the target's surface are missing.
+
+        Args:
+            frame: the frame, with its amplitude.
+            found: a registration with a pose.
+        """
+        assert found.T_sensor_target is not None  # noqa: S101 - as the description says
+        pose = PoseArrays.of(found.T_sensor_target)
+        seen = JointFrame.of(frame, pose.t, radius_m=self._radius_m, tuning=self._tuning)
+        return found if isinstance(seen, str) else unsupported(found, self.unranged(seen, pose), self._limits)
+
+    def unranged(self, seen: JointFrame, pose: PoseArrays) -> Contradictions:
+        """Return the pixels inside a pose's surface that have no range although they are bright enough.
+
+        A pixel that is brighter than half of those with a range would have one, if it showed the target. Such
+        pixels tell a smaller body before something bright that has no ranges.
+        """
+        rendered = Hits.of(seen.view.coarse).arrays
+        cast_pose(seen.view.coarse.arrays, self._triangles_m, pose.R, pose.t, True, *rendered)
+        ranged = seen.every_range_m > 0.0
+        inside = cv2.erode((rendered.triangle >= 0).view(np.uint8), NEIGHBOURS, borderValue=0).view(bool)
+        bright = (seen.typical < seen.shade) & (seen.shade < BRIGHT[1] * seen.typical)
+        missing = inside & bright & ~ranged
+        side = self._limits.patch_px
+        around = cv2.boxFilter(missing.view(np.uint8), cv2.CV_16U, (side, side), normalize=False)
+        checked, most = int(np.count_nonzero(inside & (bright | ranged))), int(around.max(initial=0))
+        return Contradictions(checked, int(np.count_nonzero(missing)), most, 0, missing)
 
     def _wiggling(self, seen: JointFrame, shown: RenderBuffers, bias_m: float) -> FloatArray:
         """Return the wiggling of the coarse pixels, shape (rows, columns), m; 0 if it is unknown."""
