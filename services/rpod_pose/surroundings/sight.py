@@ -48,6 +48,8 @@ class Sight:
     """Number of rays on the target that nothing hides and that have a range."""
     measured_share: float
     """``measured`` divided by the number of all rays with a range."""
+    elsewhere: int
+    """Number of rays within the target's outline that have a range on another thing, no known body."""
     unexplained: int
     """Largest number of connected rays that end within the target's reach but not on its surface, on a thing
     that ends within this reach and so would be a detail of the target. Things at the image's border are not
@@ -277,6 +279,9 @@ def _classes(rays: _Compared, spans: tuple[Spans, Spans], margin: Margin, radius
     past = _going_on(measured_m, rendered_m, around, reach, margin.range_m)
     labels[~met & measured & (labels == Label.KEPT) & _widened(past, shape)] = Label.HIDING
     on_target = met & measured & (labels == Label.KEPT)
+    elsewhere = met & measured & (labels != Label.KEPT)
+    if hidden is not None:
+        elsewhere &= ~hidden
     ring, outside_m = _beside(met, rendered_m, spans[1])
     beside_m = max(margin.range_m, BESIDE * radius_m)
     continued = ring & measured & (np.abs(measured_m - outside_m) < beside_m)
@@ -286,6 +291,7 @@ def _classes(rays: _Compared, spans: tuple[Spans, Spans], margin: Margin, radius
         1.0 - _share(met & (labels == Label.HIDING), met),
         int(np.count_nonzero(on_target)),
         _share(on_target, measured),
+        int(np.count_nonzero(elsewhere)),
         0,
         int(np.bincount(patches(inside & (labels == Label.BEYOND))[1])[1:].max(initial=0)),
         _share(continued, ring),

@@ -8,14 +8,14 @@ from typing import Generic
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import contradicted
+from rpod_pose.belief import contradicted, doubtful
 from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.ports import ComparingTracker, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.separation import RangeImage
 from rpod_pose.surroundings.sight import SIGMAS, Margin, Sight, with_target_at
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.types import Source
+from rpod_schemas.types import BeliefLevel, Source
 from rpod_target import Target
 
 MARGINS = 0.2, 0.06, 0.015
@@ -264,4 +264,20 @@ def _checked(found: Registration, sight: Sight, most_unexplained: int) -> Regist
         reason = f"the pose is on a part of a larger thing: its surface continues across {share}"
     if reason and found.continues_track:
         return replace(found, belief=contradicted(reason, **evidence))
+    if found.belief.level is BeliefLevel.ACCEPTED and (reason := _by_edges_of_others(found, sight)):
+        return replace(found, belief=replace(doubtful(reason, **evidence), insufficient=reason))
     return replace(found, belief=replace(found.belief, evidence=evidence))
+
+
+def _by_edges_of_others(found: Registration, sight: Sight) -> str:
+    """Return why the ranges do not support a pose that the amplitude alone measures; empty if they do.
+
+    Among other things some edges are near their place by chance. Where most ranges within the target's
+    outline are on other things, these edges may be theirs.
+    """
+    if found.source is not Source.PMD_AMPLITUDE or sight.elsewhere <= sight.measured:
+        return ""
+    return (
+        f"the amplitude alone measures the pose, and of the ranges within its outline "
+        f"{sight.elsewhere} are on other things, {sight.measured} on the target"
+    )

@@ -8,13 +8,15 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.pmd import depth_view
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.other_things import PmdFrames
+from rpod_pose.ports import Registration
 from rpod_pose.surroundings import sight
 from rpod_pose.surroundings.places import around_place, places
 from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans
 from rpod_pose.surroundings.sight import Margin as Errors
-from rpod_pose.surroundings.sight import with_target_at
+from rpod_pose.surroundings.sight import Sight, with_target_at
+from rpod_pose.surroundings.tracker import _checked
 from rpod_schemas.poses import make_pose
-from rpod_schemas.types import Camera, PmdFrame
+from rpod_schemas.types import BeliefLevel, Camera, PmdFrame, Source
 from rpod_target import load_target
 
 TARGET = load_target("mockup")
@@ -231,3 +233,26 @@ def test_rays_are_compared_around_the_target_alone_with_the_same_result(monkeypa
     monkeypatch.setattr(sight, "_window_of_ball", lambda *_: everywhere)
     for name, value in vars(with_target_at(image, TARGET, pose, ERRORS)).items():
         np.testing.assert_array_equal(getattr(around, name), value, name)
+
+
+@pytest.mark.parametrize(
+    ("source", "elsewhere", "level"),
+    [
+        (Source.PMD_AMPLITUDE, 41, BeliefLevel.DOUBTFUL),
+        (Source.PMD_AMPLITUDE, 36, BeliefLevel.ACCEPTED),
+        (Source.PMD_JOINT, 41, BeliefLevel.ACCEPTED),
+    ],
+)
+def test_a_pose_by_the_amplitude_alone_is_not_sure_where_most_ranges_are_on_other_things(
+    source, elsewhere, level
+):
+    """The edges that are in their place may be those of the other things."""
+    nothing = np.zeros((1, 1), np.uint8)
+    shown = Sight(nothing, nothing > 0, 0.6, 36, 0.02, elsewhere, 0, 0, 0.0)
+    found = _checked(Registration(source, T_sensor_target=make_pose()), shown, most_unexplained=6)
+    assert found.belief.level is level
+    assert ("41 are on other things, 36 on the target" in found.belief.reason) == (
+        level is BeliefLevel.DOUBTFUL
+    )
+    assert found.continues_track
+    assert found.begins_track == (level is BeliefLevel.ACCEPTED)
