@@ -18,6 +18,10 @@ from rpod_schemas.types import BeliefLevel, Hypothesis
 MEMORY_FRAMES, PRIOR_FRAMES = 90.0, 20.0
 """Number of frames that a record remembers, and number of consistent frames that it assumes at the beginning.
 Hand: at 45 Hz a record remembers two seconds; the prior weighs less than half a second."""
+MOST_SIGMA, MOST_SIGMA_DEG = 0.21, 10.0
+"""Largest standard deviations with which a track begins at a predicted pose: of the position, over the radius
+of the target, and of the attitude, deg. Hand: a track converges from there; with a larger value, tracks would
+begin at poses that the frame does not determine."""
 SYMMETRY = "symmetry of the target"
 """Name of a rival that is the best pose turned by an exact symmetry of the target."""
 AMPLITUDE_LEFT_OUT = "amplitude_left_out"

@@ -10,13 +10,14 @@ from math import degrees
 
 import numpy as np
 
-from rpod_pose.belief import worst_sigma
+from rpod_pose.belief import MOST_SIGMA_DEG, worst_sigma
 from rpod_pose.navigation.filter import POSE, UNSEEN, FilterState, predict
 from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.sensor import AlertLimit
+from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import Mode
 
 
@@ -48,14 +49,13 @@ class Coasting:
         """Return the mode of a track that has accepted a frame.
 
         A frame may leave a direction of the pose open, as of a face that fills the image. There the track is
-        predicted as without a frame. Its method says so (``undetermined``), or the filter assumes that the
-        target may accelerate there unseen. When its covariance has passed the alert limit, the track coasts
-        until frames bring the covariance back. It is not lost as long as frames support it elsewhere.
+        predicted as without a frame. When its covariance has passed the alert limit, the track coasts until
+        frames bring the covariance back. It is not lost as long as frames support it elsewhere.
         """
-        newest = state.history.state if state.history else None
-        unseen = newest is not None and UNSEEN in newest.places()
-        coasts = state.mode == Mode.COASTING or bool(registration.belief.undetermined) or unseen
-        return Mode.COASTING if coasts and self.unusable(state, stamp_ns) else Mode.TRACKING
+        if not self.unusable(state, stamp_ns):
+            return Mode.TRACKING
+        coasts = state.mode == Mode.COASTING or _leaves_open(state, registration)
+        return Mode.COASTING if coasts else Mode.TRACKING
 
     def _is_supported(self, state: NavigatorState, stamp_ns: int) -> bool:
         return is_supported(
@@ -91,6 +91,20 @@ class Coasting:
     def _beyond(self, state: NavigatorState, predicted: FilterState) -> str:
         alert = next((self._alerts[name] for name in supporters(state.streams)), AlertLimit())
         return _beyond(alert, predicted)
+
+
+def _leaves_open(state: NavigatorState, registration: Registration) -> bool:
+    """Return whether a frame leaves a direction of the pose open.
+
+    Its method says so (``undetermined``), or the covariance of the attitude does, whatever the method; or the
+    filter assumes that the target may accelerate unseen there.
+    """
+    pose = registration.T_sensor_target
+    if registration.belief.undetermined or pose is None or state.history is None:
+        return bool(registration.belief.undetermined)
+    newest = state.history.state
+    covariance = newest.alike.with_free_variance(registration.covariance, rotation_matrix(pose), 0.0)
+    return UNSEEN in newest.places() or degrees(worst_sigma(covariance[3:, 3:])) > MOST_SIGMA_DEG
 
 
 def _beyond(alert: AlertLimit, predicted: FilterState) -> str:

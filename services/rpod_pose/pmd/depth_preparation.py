@@ -26,7 +26,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import cast
-from rpod_pose.belief import undetermined
+from rpod_pose.belief import MOST_SIGMA, MOST_SIGMA_DEG, undetermined
 from rpod_pose.pmd.amplitude_unit import in_counts
 from rpod_pose.pmd.camera_check import difference
 from rpod_pose.pmd.depth_view import cosines_of, rays_if_any
@@ -39,10 +39,6 @@ from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
 
-_MOST_SIGMA, _MOST_SIGMA_DEG = 0.21, 10.0
-"""Largest standard deviations with which a track begins at a predicted pose: of the position, over the radius
-of the target, and of the attitude, deg. Hand: a track converges from there; with a larger value, tracks would
-begin at poses that the frame does not determine."""
 _LEAST_KNOWN, _UNKNOWN_DEG = math.sqrt(0.5), 180.0 / math.sqrt(3.0)
 """Largest standard deviation of a first pose, over that of an unknown pose of a target in view. Physics: the
 frame then gives as much information as the knowledge that the target is in view. The second value is the
@@ -234,10 +230,10 @@ class PreparedTracker:
         if why := self._preparation.refusal(measurement):
             return Registration.none(Source.NONE, why)
         prepared = self._preparation.predicted(measurement, T_sensor_target)
-        most_m = _MOST_SIGMA * self._preparation.target.radius_m
+        most_m = MOST_SIGMA * self._preparation.target.radius_m
         found = self._tracker.track(prepared, T_sensor_target)
         observed = self._preparation.observed(found)
-        return _determined(found, observed, max_sigma_m=most_m, max_sigma_deg=_MOST_SIGMA_DEG)
+        return _determined(found, observed, max_sigma_m=most_m, max_sigma_deg=MOST_SIGMA_DEG)
 
 
 class PreparedAcquirer:

@@ -73,6 +73,19 @@ def test_a_track_coasts_while_an_open_direction_is_unknown_beyond_the_alert_limi
     assert Mode.LOST not in modes
 
 
+def test_a_calm_track_coasts_where_the_covariance_of_its_frames_leaves_a_turn_open():
+    """A frame that is vague in all directions alike, but within 10 deg, leaves none open."""
+    for sigma_deg, mode in ((12.0, Mode.COASTING), (8.0, Mode.TRACKING)):
+        made, pose = rig(pose=shaken(START_S)), MOUNT.inv() * shaken(START_S)
+        found = registration(pose, covariance=np.diag([*MEASURED[:3], *[np.radians(sigma_deg) ** 2] * 3]))
+        for number in range(30):
+            stamp_ns = round((START_S + number / HZ) * SECOND_NS)
+            output = made.see(View(stamp_ns, tracked=found, acquired=(found,)))
+        assert output.status.accepted
+        assert output.unusable
+        assert output.status.mode == mode
+
+
 def test_where_frames_leave_nothing_open_no_unseen_acceleration_is_assumed():
     made, rows = shake(open_from_s=np.inf, until_s=1.5)
     assert {mode for mode, _, _ in rows} == {Mode.TRACKING}
