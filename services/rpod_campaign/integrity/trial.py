@@ -84,8 +84,8 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
             mine = clean.sensor == faulty
             measurement = injector.measured(time_s, clean) if mine else clean
             is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
-            truth = exact.T_chaser_sensor.inv() * course.truth(time_s)
-            turned[clean.sensor].truth = truth if is_turned else None
+            truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
+            turned[clean.sensor].truth = truth
             yield Arrived(time_s, measurement, mine and injector.repeats >= FROZEN_REPEATS)
 
     told = judged(settings, methods, model, arriving(), T_chaser_target=course.truth(0.0))

@@ -17,11 +17,11 @@ from rpod_analysis.scoring.handover import Offset, beyond
 from rpod_campaign.engine.trial.poses import errors, nees_of
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.pmd.scene import scenario_of
+from rpod_campaign.pmd.scene import motion_of, scenario_of
 from rpod_campaign.pmd.world import World, built
 from rpod_campaign.sequences.judged import Arrived, judged
 from rpod_emulator.local_sensor import LocalSensor
-from rpod_motion.motion import Motion, build_motion
+from rpod_motion.motion import Motion
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.state import Output
@@ -197,14 +197,7 @@ def _changed(before: Offset | None, now: Offset | None) -> dict[str, float | Non
 
 @lru_cache(maxsize=4)
 def _motion_of(document: str) -> Motion:
-    scenario = scenario_of(document)
-    target = cached_target(scenario.target)
-    return build_motion(
-        scenario.motion,
-        centre_of_mass_m=target.centre_of_mass_m,
-        inertia_kg_m2=target.inertia_kg_m2,
-        duration_s=scenario.duration_s,
-    )
+    return motion_of(scenario_of(document))
 
 
 @lru_cache(maxsize=4)

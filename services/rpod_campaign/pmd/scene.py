@@ -12,7 +12,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.pmd.world import World, built, disturbed
 from rpod_geometry.rays import Hits, RayGrid, cast
-from rpod_motion.motion import build_motion
+from rpod_motion.motion import Motion, build_motion
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
 from rpod_schemas.config.scenario import Scenario
@@ -46,6 +46,17 @@ class Shot:
         return float(np.isfinite(self.frame.depth_m[self.seen]).mean()) if self.seen.any() else float("nan")
 
 
+def motion_of(scenario: Scenario) -> Motion:
+    """Return the motion of a scenario's target."""
+    target = cached_target(scenario.target)
+    return build_motion(
+        scenario.motion,
+        centre_of_mass_m=target.centre_of_mass_m,
+        inertia_kg_m2=target.inertia_kg_m2,
+        duration_s=scenario.duration_s,
+    )
+
+
 class Stage:
     """Camera, target and motion of a scenario, in one trial of one world."""
 
@@ -53,12 +64,7 @@ class Stage:
         self.camera = camera_of(scenario)
         self.target = cached_target(scenario.target)
         self._world, self._seed, self._trial = world, seed, trial
-        self._motion = build_motion(
-            scenario.motion,
-            centre_of_mass_m=self.target.centre_of_mass_m,
-            inertia_kg_m2=self.target.inertia_kg_m2,
-            duration_s=scenario.duration_s,
-        )
+        self._motion = motion_of(scenario)
         self.looked_at = built(self.target, world, stream(seed, trial, _CAD))
         self._emulator = PmdEmulator(
             self.camera,

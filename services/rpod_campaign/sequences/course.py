@@ -13,7 +13,7 @@ from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import lidar_config
 from rpod_campaign.lidar.returns import ellipse_m, window_of
 from rpod_campaign.lidar.scene import emulator_of, scan_of
-from rpod_campaign.pmd.scene import Stage, scenario_of
+from rpod_campaign.pmd.scene import Stage, motion_of, scenario_of
 from rpod_campaign.pmd.world import NOMINAL
 from rpod_motion.motion import Motion, build_motion
 from rpod_pose.measurement import Measurement
@@ -152,13 +152,7 @@ def lidar_span_m(target: str) -> tuple[float, float]:
 def _scenario_span_m(document: str) -> tuple[float, float]:
     """Return the least and the greatest range of a scenario, by its positions at each second, m."""
     scenario = scenario_of(document)
-    target = cached_target(scenario.target)
-    motion = build_motion(
-        scenario.motion,
-        centre_of_mass_m=target.centre_of_mass_m,
-        inertia_kg_m2=target.inertia_kg_m2,
-        duration_s=scenario.duration_s,
-    )
+    motion = motion_of(scenario)
     times_s = np.append(np.arange(0.0, scenario.duration_s), scenario.duration_s)
     ranges_m = [float(np.linalg.norm(motion.state(t_s).T_chaser_target.translation)) for t_s in times_s]
     return min(ranges_m), max(ranges_m)

@@ -332,9 +332,10 @@ class ScanSearch:
 
     def _best_turned(self, pose: Pose, turns: FloatArray, count: int, *, sure: int = 0) -> list[Pose]:
         """Return a pose after the best of some turns; the arguments are those of ``Comparison.turned``."""
+        found = self._comparison.turned(PoseArrays(pose.R, pose.t), turns, count, sure=sure)
         return [
-            self._improved(self.unrefined(R, t), self._rough_m) if t is pose.t else self._field_aligned(R, t)
-            for R, t in self._comparison.turned(PoseArrays(pose.R, pose.t), turns, count, sure=sure)
+            self._field_aligned(R, t) if centred else self._improved(self.unrefined(R, t), self._rough_m)
+            for (R, t), centred in found
         ]
 
     def _field_aligned(self, R: FloatArray, t: FloatArray) -> Pose:

@@ -76,11 +76,15 @@ class Comparison:
         places_m = self.centroid_m - (attitudes @ offsets_m[..., None])[..., 0]
         return attitudes, places_m.astype(np.float32)
 
-    def turned(self, pose: PoseArrays, turns: FloatArray, count: int, *, sure: int) -> list[PoseArrays]:
-        """Return a pose after the best of some turns, at its own position or at the centroid, best first.
+    def turned(
+        self, pose: PoseArrays, turns: FloatArray, count: int, *, sure: int
+    ) -> list[tuple[PoseArrays, bool]]:
+        """Return a pose after the best of some turns, best first, and whether each is at the centroid.
+
+        The others are at the position of the pose.
 
         Args:
-            pose: the pose; those at its position have its own array.
+            pose: the pose.
             turns: rotations of the target, shape (T, 3, 3).
             count: number of poses in the result.
             sure: number of the first turns that are among the best at the pose's position in any case.
@@ -96,8 +100,11 @@ class Comparison:
         order = np.argsort(np.concatenate((here, energy.min(axis=1))), kind="stable")[:count]
         turn, there = order % len(turned), order >= len(turned)
         return [
-            PoseArrays(pose.R @ turns[k], best_m[k].astype(np.float64) if centre else pose.t)
-            for k, centre in zip(turn, there, strict=True)
+            (
+                PoseArrays(pose.R @ turns[k], best_m[k].astype(np.float64) if centred else pose.t),
+                bool(centred),
+            )
+            for k, centred in zip(turn, there, strict=True)
         ]
 
     def energies(

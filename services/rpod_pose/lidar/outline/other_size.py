@@ -13,7 +13,7 @@ Likelihoods of returns are densities of their ranges. The densities of ranges di
 large. So log k is subtracted for each return before two sizes are compared.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import inf, log
 from typing import Any
@@ -67,17 +67,15 @@ class OtherSizes:
     def __call__(self) -> tuple[OtherSize, ...]:
         """Return the poses for two smaller and two larger sizes, without those that have no solution."""
         most = max(SHARE, SIGMAS * self.scale_tolerance)
-        tested = (self._of(share) for share in (-most, most))
-        near = (
-            replace(self._of(share), tests=False, most_log_odds=inf) for share in (-NEAR * most, NEAR * most)
-        )
+        tested = (self._of(share, self._most_log_odds(share)) for share in (-most, most))
+        near = (self._of(share, inf, tests=False) for share in (-NEAR * most, NEAR * most))
         sizes = (*tested, *near)
         return tuple(size for size in sizes if np.isfinite(size.step).all())
 
     def __reduce__(self) -> tuple[type[partial[tuple[OtherSize, ...]]], tuple[Any, ...]]:
         return partial, (tuple, self())
 
-    def _of(self, share: float) -> OtherSize:
+    def _of(self, share: float, most_log_odds: float, *, tests: bool = True) -> OtherSize:
         """Return the pose for a target that is larger by ``share``; its step is not finite if none fits."""
         k, (R, t) = 1.0 + share, self.found.pose
         shorter_m = (self.range_m / k).astype(self.range_m.dtype)
@@ -88,7 +86,7 @@ class OtherSizes:
         step = step_between(pose_of(R, t), pose_of(scaled.pose.R, k * scaled.pose.t))
         returns = int(np.count_nonzero(self.range_m > 0.0))
         log_odds = _log_likelihood(scaled) - returns * log(k) - _log_likelihood(self.found)
-        return OtherSize(share, log_odds, step, self._most_log_odds(share))
+        return OtherSize(share, log_odds, step, most_log_odds, tests)
 
     def _most_log_odds(self, share: float) -> float:
         """Return the limit of the log odds: a beam that is wider than assumed also widens the outline."""

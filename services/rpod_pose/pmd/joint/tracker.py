@@ -313,18 +313,18 @@ class JointTracker:
 
     def _registered(self, seen: JointFrame, sights: Sights, aligned: Aligned, steps: int) -> Registration:
         """Return the registration of an aligned pose, with its belief."""
-        tuning = self._tuning
+        tuning, limits = self._tuning, self._tuning.acceptance
         ((R, t), bias), _, (depth, found, *_) = aligned.fit
         points, edges, checked = depth.inliers, found.inliers, found.checked
-        if points < tuning.acceptance.min_points and checked < tuning.acceptance.min_edges:
+        if points < limits.min_points and checked < limits.min_edges:
             reason = f"nothing of the target is seen: {points} points on it, {checked} places of edges"
             return Registration.none(Source.PMD_JOINT, reason)
         pose, buffers = aligned.fit.state.pose, self._buffers_of(seen.view)
         inconsistent = self._check.contradictions(seen, pose, bias, buffers)
-        ranges = MedianError.of(seen.every_range_m, buffers, tuning.acceptance.bias_sigmas)
-        known, sigma_m = self._uncertainty(seen, sights, aligned), self._ranges.bias_m
-        measured, in_place = points >= tuning.acceptance.min_points, self._edges_in_place(seen, aligned)
-        far_off = "" if measured else ranges.reason(tuning.acceptance, sigma_m, t, known.covariance)
+        measured, sigma_m = points >= limits.min_points, self._ranges.bias_m
+        ranges = None if measured else MedianError.of(seen.every_range_m, buffers, limits.bias_sigmas)
+        known, in_place = self._uncertainty(seen, sights, aligned), self._edges_in_place(seen, aligned)
+        far_off = ranges.reason(limits, sigma_m, t, known.covariance) if ranges else ""
         scale = {"bias_m": bias, "sigma_m": sigma_m, "range_m": float(np.linalg.norm(t))}
         belief = frame_belief(tuning, inconsistent, in_place, **scale, far_off=far_off)
         if inconsistent.reason(tuning.check):
@@ -332,7 +332,7 @@ class JointTracker:
             reason = "{}; most of them around pixel ({}, {})".format(belief.reason, *marks.centre_px)
             belief = replace(belief, reason=reason, marks=marks)
         return Registration(
-            source_of(tuning.acceptance, points=points, edges=checked),
+            source_of(limits, points=points, edges=checked),
             T_sensor_target=pose_of(R, t),
             belief=belief,
             cost_m2=depth.squares_m2 / max(points, 1),
