@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
+from rpod_geometry.rays import RenderBuffers
 from rpod_pose.pmd.joint.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window, window_of
@@ -190,38 +191,39 @@ def squares_of(patch: Patch, rendered: Behind, window: Window) -> float:
 
 
 @kernel
-def mixture_of(
-    triangle: NDArray[np.int32], per_px: int, light: Float32Array, part: NDArray[np.int32]
-) -> Mixture:
+def mixture_of(hits: RenderBuffers, per_px: int, light: Float32Array, part: NDArray[np.int32]) -> Mixture:
     """Return the parts that the pixels of a rendering show.
 
     Args:
-        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
+        hits: first hits of the rays, shape (per_px * rows, per_px * columns).
         per_px: number of rays for each pixel, along rows and columns.
-        light: brightness that a ray on each triangle adds, shape (T,) or more.
+        light: brightness that a ray on each triangle adds, times its cubed range, shape (T,), m.
         part: number of the part of each triangle, shape (T,).
     """
-    window, rays = window_of(triangle, per_px), per_px * per_px
+    (range_m, triangle), rays = hits, per_px * per_px
+    window = window_of(triangle, per_px)
     alone, count = one_of(triangle, per_px, window)
     free = np.where(alone == -1, np.float32(1.0), np.float32(0.0))
     pixels, numbers = np.empty(count, np.int32), np.empty(count, np.int32)
     lights, count = np.empty(count, np.float32), 0
     for i in range(window.rows):
         for j in range(window.columns):
-            pixel, only, first = i * window.columns + j, alone[i, j], count
+            pixel, only, first, sky = i * window.columns + j, alone[i, j], count, 0
+            row, column = per_px * (window.row + i), per_px * (window.column + j)
             if only >= 0:
-                pixels[count], numbers[count], lights[count] = pixel, part[only], rays * light[only]
+                twice_m = range_m[row, column] + range_m[row + per_px - 1, column + per_px - 1]
+                pixels[count], numbers[count] = pixel, part[only]
+                lights[count] = 8 * rays * light[only] / (twice_m * twice_m * twice_m)
                 alone[i, j] = part[only]
                 count += 1
             if only != MIXED_PIXEL:
                 continue
-            row, column, sky = per_px * (window.row + i), per_px * (window.column + j), 0
             for v in range(row, row + per_px):
                 for u in range(column, column + per_px):
                     met = triangle[v, u]
                     sky += met < 0
                     if met >= 0:
-                        share = int(part[met]), float(light[met])
+                        share = int(part[met]), float(light[met]) / float(range_m[v, u]) ** 3
                         count = _add(numbers, lights, (first, count), share)
             pixels[first:count] = pixel
             alone[i, j] = numbers[first] if count == first + 1 and not sky else -1

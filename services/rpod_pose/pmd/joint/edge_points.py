@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
-from rpod_pose.pmd.joint.expected_edges import EdgeSight, add_in_place
+from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
 from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
 from rpod_schemas.arrays import FloatArray
@@ -53,6 +53,8 @@ class EdgeErrors(NamedTuple):
     """Share of the samples whose errors are independent; samples close in the image share their pixels."""
     merged: bool = True
     """Whether samples are used that the rendering merges with other edges."""
+    aliased_px: float = ALIASED_PX
+    """Displacement of an edge from its geometric place that counts as 0."""
 
 
 class EdgeShifts(NamedTuple):
@@ -133,6 +135,7 @@ def add_edge_points(  # noqa: PLR0917
         if across == 0.0 and down == 0.0:
             continue
         shown = expected_edges.place[m]
+        shown = shown if abs(shown) > errors.aliased_px else 0.0
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
         line = Profile(column, row, across, down)
         place, change = steepest(image, line, reach, least)

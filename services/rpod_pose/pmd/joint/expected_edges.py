@@ -49,7 +49,9 @@ MERGED_PX = 1.7
 """Largest distance of two edges that are one change of the image. Physics: two steps under a normal blur have
 one steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
-"""Displacement of an edge that counts as 0. Physics: rays half a pixel apart do not resolve less."""
+"""Displacement of an edge that counts as 0 before the last steps, and with one ray for each pixel. Physics:
+half of ``STILL_PX``; the displacement differs with the pose as far as this, and rays a pixel apart show it
+this poorly."""
 DIRECTIONS = 4
 """Number of directions of edges that are distinguished in a pixel. Hand: they are 45 deg apart; edges that
 are closer are one change."""
@@ -146,7 +148,8 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(fitted_shade, profile, least)
         before[count] = is_before_bright(patch, shown, Profile(u, v, across, down))
-        sample[count], place[count] = n, shift if abs(shift) > ALIASED_PX else 0.0
+        resolved = per_px > 1 or abs(shift) > ALIASED_PX
+        sample[count], place[count] = n, shift if resolved else 0.0
         contrast[count] = gain * change if change else least
         shown_by = shown_probability(contrast[count], spread, patch.noise, patch.least)
         probability[count] = shown_by if change else 0.0

@@ -1,6 +1,5 @@
 """The target rendered on the pixels of an image, as bright as its file says and as the image says."""
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -102,7 +101,7 @@ class PatchRenderer:
             patch: the image.
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
-        mixture = mixture_of(hits.triangle, per_px, light_of(self._appearance, pose), self._surfaces)
+        mixture = mixture_of(hits, per_px, light_of(self._appearance, pose), self._surfaces)
         by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
         shade, typical = by_file
         as_seen = typical > 0.0 and patch.typical > 0.0
@@ -116,8 +115,8 @@ class PatchRenderer:
 
         Arguments as for ``render``.
         """
-        triangle, light = self.cast(rays, pose).triangle, light_of(self._appearance, pose)
-        mixture = mixture_of(triangle, per_px, light, self._faces)
+        hits, light = self.cast(rays, pose), light_of(self._appearance, pose)
+        mixture = mixture_of(hits, per_px, light, self._faces)
         return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
 
 
@@ -136,23 +135,19 @@ def brightness_behind(patch: Patch, mixture: Mixture, blur_px: float) -> Float32
 
 @kernel
 def light_of(appearance: Appearance, pose: PoseArrays) -> Float32Array:
-    """Return the brightness of each triangle at a pose, shape (T + 1,); the last one, index -1, is the sky.
+    """Return the brightness of each triangle at a pose, times the cubed range of a ray, shape (T,), m.
 
-    It follows Lambert's law with light from the camera: albedo times cosine of incidence over squared range,
-    at the centre of each triangle. Within a triangle it changes slowly and causes no edges.
+    By Lambert's law with light from the camera, the brightness is albedo times cosine of incidence over
+    squared range. The cosine is the distance of the triangle's plane from the camera over the range.
 
     Args:
         appearance: T triangles.
         pose: pose of the target.
     """
-    light = np.zeros(len(appearance.albedo) + 1, np.float32)
+    light = np.empty(len(appearance.albedo), np.float32)
     sx, sy, sz = in_target(pose.R, -pose.t[0], -pose.t[1], -pose.t[2])
     for k in range(len(appearance.albedo)):
-        corners, normal = appearance.triangles_m[k], appearance.normals[k]
-        x = sx - (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
-        y = sy - (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
-        z = sz - (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
-        squares = x * x + y * y + z * z
-        cosine = abs(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(squares)
-        light[k] = appearance.albedo[k] * cosine / squares
+        corner, normal = appearance.triangles_m[k, 0], appearance.normals[k]
+        x, y, z = sx - corner[0], sy - corner[1], sz - corner[2]
+        light[k] = appearance.albedo[k] * abs(normal[0] * x + normal[1] * y + normal[2] * z)
     return light

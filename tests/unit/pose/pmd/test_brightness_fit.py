@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from rpod_geometry.rays import RenderBuffers
 from rpod_pose.pmd.joint.brightness_fit import (
     Behind,
     Mixture,
@@ -22,6 +23,10 @@ from rpod_pose.pmd.rendering import SKY_PX, window_of
 ROWS, COLUMNS, TRIANGLES = 9, 11, 6
 
 
+def at_one_metre(triangle: np.ndarray) -> RenderBuffers:
+    return RenderBuffers(np.where(triangle >= 0, 1.0, np.inf).astype(np.float32), triangle)
+
+
 @pytest.mark.parametrize("per_px", [1, 2, 3])
 def test_a_pixel_shows_the_light_of_all_its_rays(per_px: int) -> None:
     random = np.random.default_rng(2)
@@ -29,10 +34,14 @@ def test_a_pixel_shows_the_light_of_all_its_rays(per_px: int) -> None:
     triangle[: 4 * per_px] = np.repeat(np.repeat(triangle[:4, :COLUMNS], per_px, 0), per_px, 1)
     light = random.random(TRIANGLES + 1).astype(np.float32)
     part = np.array([0, 0, 1, 2, 2, 3], np.int32)
-    mixture = mixture_of(triangle, per_px, light, part)
+    hits = at_one_metre(triangle)
+    hits.range_m[4 * per_px :] *= 1.0 + random.random((per_px * (ROWS - 4), per_px * COLUMNS))
+    mixture = mixture_of(hits, per_px, light, part)
     assert mixture.window == (0, 0, ROWS, COLUMNS)
     image = mixed(np.ones(4, np.float32), mixture, np.float32(np.inf))
-    by_ray = np.where(triangle >= 0, light[triangle], 0.0).reshape(ROWS, per_px, COLUMNS, per_px)
+    by_ray = np.where(triangle >= 0, light[triangle] / hits.range_m**3, 0.0).reshape(
+        ROWS, per_px, COLUMNS, per_px
+    )
     np.testing.assert_allclose(image, by_ray.sum(axis=(1, 3)), rtol=1e-6)
     shown = np.where(triangle >= 0, part[triangle], -1).reshape(ROWS, per_px, COLUMNS, per_px)
     least, most = shown.min(axis=(1, 3)), shown.max(axis=(1, 3))
@@ -45,7 +54,7 @@ def test_a_pixel_shows_the_light_of_all_its_rays(per_px: int) -> None:
 def test_a_step_multiplies_a_part_by_its_mean_ratio() -> None:
     triangle = np.array([[0, 0, 1], [1, 0, -1]], np.int32)
     light, part = np.array([1.0, 2.0, 0.0], np.float32), np.array([0, 1], np.int32)
-    mixture = mixture_of(triangle, 1, light, part)
+    mixture = mixture_of(at_one_metre(triangle), 1, light, part)
     image = np.array([[2.0, 4.0, 6.0], [2.0, 3.0, 9.0]], np.float32)
     rendered = mixed(np.ones(2, np.float32), mixture, np.float32(np.inf))
     ratio = ratio_of(image, np.maximum(rendered, np.float32(1.0)), np.float32(0.0))
@@ -61,7 +70,7 @@ def test_a_window_holds_the_target_and_the_sky_beside_it(per_px: int) -> None:
     window = window_of(triangle, per_px)
     assert window == (20 - SKY_PX, 0, 10 + 2 * SKY_PX, 41 + SKY_PX)
     light = np.full(5, 2.0, np.float32)
-    mixture = mixture_of(triangle, per_px, light, np.zeros(4, np.int32))
+    mixture = mixture_of(at_one_metre(triangle), per_px, light, np.zeros(4, np.int32))
     assert mixture.alone.shape == window[2:]
     assert mixture.pixel.size == 10 * 36
     shade, typical = clipped(mixture, 4.0)
@@ -70,7 +79,8 @@ def test_a_window_holds_the_target_and_the_sky_beside_it(per_px: int) -> None:
 
 
 def test_an_empty_rendering_has_a_window_without_brightness() -> None:
-    mixture = mixture_of(np.full((60, 80), -1, np.int32), 1, np.zeros(2, np.float32), np.zeros(1, np.int32))
+    nothing = at_one_metre(np.full((60, 80), -1, np.int32))
+    mixture = mixture_of(nothing, 1, np.zeros(2, np.float32), np.zeros(1, np.int32))
     shade, typical = clipped(mixture, 4.0)
     assert mixture.pixel.size == 0
     assert typical == 0.0
@@ -104,7 +114,7 @@ def test_a_pose_that_hides_more_of_a_bright_wall_is_not_likelier(wall: float) ->
         triangle = np.full((60, 80), -1, np.int32)
         triangle[rows, columns] = 0
         triangle[rows, columns.start : columns.start + 8] = 1  # a part of its own
-        return mixture_of(triangle, 1, np.ones(2, np.float32), np.array([0, 1], np.int32))
+        return mixture_of(at_one_metre(triangle), 1, np.ones(2, np.float32), np.array([0, 1], np.int32))
 
     image = np.full((60, 80), wall, np.float32)
     image[20:40, 30:50] = 1.0
@@ -122,7 +132,7 @@ def test_what_the_target_leaves_free_of_a_pixel_is_the_share_of_rays_that_meet_n
     """A pixel in which two faces meet shows nothing of what is behind; it was taken for half free."""
     triangle = np.full((80, 80), -1, np.int32)
     triangle[20:60, 21:41], triangle[20:60, 41:60] = 0, 1
-    mixture = mixture_of(triangle, 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
+    mixture = mixture_of(at_one_metre(triangle), 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
     row, column = 20 - mixture.window.row, 10 - mixture.window.column
     np.testing.assert_array_equal(mixture.free[row, column - 1 : column + 2], [1.0, 0.5, 0.0])
     assert mixture.alone[row, column + 10] == -1
@@ -132,7 +142,7 @@ def test_what_the_target_leaves_free_of_a_pixel_is_the_share_of_rays_that_meet_n
 def test_a_bright_wall_changes_no_place_within_the_target() -> None:
     triangle = np.full((80, 80), -1, np.int32)
     triangle[20:60, 20:41], triangle[20:60, 41:60] = 0, 1
-    mixture = mixture_of(triangle, 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
+    mixture = mixture_of(at_one_metre(triangle), 2, np.ones(3, np.float32), np.array([0, 1], np.int32))
     patch = Patch(np.full((40, 40), 0.6, np.float32), 0.0, 0.0, 0.1, 0.02, 1.0)
     behind = brightness_behind(patch, mixture, 1.0)
     assert behind is not None

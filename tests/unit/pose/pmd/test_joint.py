@@ -24,8 +24,8 @@ from rpod_pose.pmd.joint.edge_points import (
     add_edge_points,
 )
 from rpod_pose.pmd.joint.edge_search import CoarsePixels
-from rpod_pose.pmd.joint.expected_edges import EdgeSight, expect_edges
-from rpod_pose.pmd.joint.fit import DepthErrors, _shares
+from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, expect_edges
+from rpod_pose.pmd.joint.fit import DepthErrors, _shares, near_the_pose
 from rpod_pose.pmd.joint.frame import JointFrame, _around
 from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.tracker import JointTracker
@@ -175,6 +175,24 @@ def test_changes_half_a_pixel_from_an_edge_are_left_out_in_the_last_steps() -> N
     )
     assert last.found == first.found > 100
     assert last.inliers < 0.8 * first.inliers
+
+
+def test_a_small_displacement_of_an_edge_counts_in_the_last_steps_alone() -> None:
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(seen, JointFrame)
+    pose = PoseArrays.of(TRUTH)
+    sight = TRACKER._sights(seen).at(pose)
+    first = TRACKER._problem(seen, sight, TRACKER._near[-1:], TRACKER._edge_errors)
+    last = near_the_pose(first, first.planes)
+    differ = []
+    for problem in (first, last):
+        squares = []
+        for off_px in (0.0, 0.6 * ALIASED_PX):
+            places = np.full(len(sight.expected.sample), off_px)
+            moved = sight._replace(expected=sight.expected._replace(place=places))
+            squares.append(add_edge_points(no_sums(), moved, pose, 3.0, problem.edge_errors).squares_px2)
+        differ.append(squares[0] != squares[1])
+    assert differ == [False, True]
 
 
 def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than_the_blur() -> None:
