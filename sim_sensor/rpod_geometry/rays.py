@@ -18,7 +18,6 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.lens import undistort
 from rpod_geometry.lines import Lines, end_line, entry_of, first_line, lines_of, slopes_of
-from rpod_geometry.pixel_samples import pixel_samples
 from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Camera, Float32Array
 
@@ -110,14 +109,17 @@ class RayGrid:
         )
 
     @classmethod
-    def pinhole(cls, camera: Camera, samples: int = 1, *, scattered: bool = False) -> Self:
-        """Return ``samples`` x ``samples`` undistorted rays per pixel, spread as in ``pixel_samples``.
+    def pinhole(cls, camera: Camera, samples: int = 1) -> Self:
+        """Return ``samples`` x ``samples`` undistorted rays per pixel, spread evenly over it.
 
         Raises:
             rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted within the image.
         """
-        u, v = pixel_samples(camera, samples, scattered=scattered)
-        x, y = undistort(np.stack(((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)), camera)
+        offsets = (np.arange(samples) + 0.5) / samples - 0.5
+        column = (np.arange(camera.width)[:, None] + offsets).ravel()
+        row = (np.arange(camera.height)[:, None] + offsets).ravel()
+        x, y = np.meshgrid((column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy)
+        x, y = undistort(np.stack((x, y)), camera)
         rays = np.stack((x, y, np.ones_like(x)))
         return cls(np.ascontiguousarray(rays / np.linalg.norm(rays, axis=0)))
 

@@ -78,8 +78,8 @@ class DepthView:
         return _view(*_key(camera), stride)
 
     def rays(self, per_px: int) -> RayGrid:
-        """Return ``per_px`` x ``per_px`` scattered rays for each pixel of the image, in single precision."""
-        return _rays(*_key(self.camera), per_px, True)
+        """Return ``per_px`` x ``per_px`` rays for each pixel of the image, in single precision."""
+        return rays_of(self.camera, per_px)
 
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return the pixels, column and row, of points in sensor axes with z > 0, shape (N, 2)."""
@@ -116,13 +116,13 @@ class DepthView:
         return behind
 
 
-def rays_of(camera: Camera) -> RayGrid:
-    """Return the ray of each pixel, in single precision, cached from frame to frame.
+def rays_of(camera: Camera, per_px: int = 1) -> RayGrid:
+    """Return ``per_px`` x ``per_px`` rays for each pixel, in single precision, cached from frame to frame.
 
     Raises:
         rpod_geometry.errors.DistortionError: the lens distortion cannot be inverted.
     """
-    return _rays(*_key(camera), 1, False)
+    return _rays(*_key(camera), per_px)
 
 
 _Size = tuple[int, int]
@@ -142,11 +142,8 @@ def _camera(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...])
 
 
 @lru_cache(maxsize=8)
-def _rays(
-    size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], per_px: int, scattered: bool
-) -> RayGrid:
-    camera = _camera(size, intrinsics, distortion)
-    return RayGrid.pinhole(camera, per_px, scattered=scattered).in_single_precision()
+def _rays(size: _Size, intrinsics: _Intrinsics, distortion: tuple[float, ...], per_px: int) -> RayGrid:
+    return RayGrid.pinhole(_camera(size, intrinsics, distortion), per_px).in_single_precision()
 
 
 @lru_cache(maxsize=8)

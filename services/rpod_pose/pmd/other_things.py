@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.amplitude_unit import least_count
-from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of, rays_of
+from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of
 from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, upsampled, window_around
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
@@ -68,7 +68,7 @@ class PmdFrames:
             view = DepthView.of(frame.camera, stride)
         except DistortionError:
             return None
-        grid = rays_of(frame.camera) if stride == 1 else view.coarse
+        grid = view.rays(1) if stride == 1 else view.coarse
         every = (slice(view.offset, None, stride),) * 2
         depth_m = frame.depth_m[every]
         depth_m = np.where((depth_m > NEAREST_M) & (depth_m < FARTHEST_M), depth_m, np.float32(0.0))
