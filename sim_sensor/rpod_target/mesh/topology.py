@@ -95,6 +95,21 @@ def edges(triangles_m: FloatArray) -> tuple[FloatArray, Indices]:
     return segments, np.stack([triangle, last // 3], axis=1)
 
 
+def beyond_sides(triangles_m: FloatArray) -> NDArray[np.int32]:
+    """Return the triangle beyond each side of each triangle, shape (T, 3); -1 where the surface ends.
+
+    Side c goes from corner c to the next one. Where more than two triangles meet, one of them is returned.
+    """
+    directed = directed_edges(welded(triangles_m))
+    corners = int(directed.max()) + 1
+    forward, back = directed @ (corners, 1), directed @ (1, corners)
+    order = np.argsort(forward)
+    at = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
+    found = order[at]
+    beyond: NDArray[np.int32] = np.where(forward[found] == back, found // 3, -1).astype(np.int32)
+    return beyond.reshape(-1, 3)
+
+
 def creases(triangles_m: FloatArray, *, angle_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return the edges at which faces meet at more than an angle, and those with one face only.
 

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_geometry.rays import RenderBuffers
+from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.joint.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.edge_search import Patch
-from rpod_pose.pmd.rendering import Window, window_of
+from rpod_pose.pmd.joint.mixture import Mixture
+from rpod_pose.pmd.rendering import Window
 from rpod_schemas.types import Float32Array
 
 ROUNDS = 3
@@ -41,25 +41,6 @@ one pixel that shows several parts."""
 TYPICAL_SAMPLES = 20_000
 """Number of pixels from which the rendering's median brightness is estimated. Numerics: a budget of
 computation; all pixels of a target of 140 by 140."""
-
-MIXED_PIXEL = -2
-"""Index of the triangle for a pixel whose rays meet several triangles. Numerics: no triangle has it."""
-
-
-class Mixture(NamedTuple):
-    """Contributions of the target's parts (plane faces or surfaces) to the pixels of a window; M in all."""
-
-    window: Window
-    pixel: NDArray[np.int32]
-    """Row-major index of the pixel in the window, shape (M,)."""
-    part: NDArray[np.int32]
-    """Number of the part, shape (M,)."""
-    light: Float32Array
-    """Brightness that the part adds to the pixel, shape (M,)."""
-    alone: NDArray[np.int32]
-    """Number of the only part that a pixel shows, -1 for several or the sky, shape (rows, columns)."""
-    free: Float32Array
-    """Share of each pixel that the target does not cover, shape (rows, columns)."""
 
 
 class ByFile(NamedTuple):
@@ -191,78 +172,6 @@ def squares_of(patch: Patch, rendered: Behind, window: Window) -> float:
 
 
 @kernel
-def mixture_of(hits: RenderBuffers, per_px: int, light: Float32Array, part: NDArray[np.int32]) -> Mixture:
-    """Return the parts that the pixels of a rendering show.
-
-    Args:
-        hits: first hits of the rays, shape (per_px * rows, per_px * columns).
-        per_px: number of rays for each pixel, along rows and columns.
-        light: brightness that a ray on each triangle adds, times its cubed range, shape (T,), m.
-        part: number of the part of each triangle, shape (T,).
-    """
-    (range_m, triangle), rays = hits, per_px * per_px
-    window = window_of(triangle, per_px)
-    alone, count = one_of(triangle, per_px, window)
-    free = np.where(alone == -1, np.float32(1.0), np.float32(0.0))
-    pixels, numbers = np.empty(count, np.int32), np.empty(count, np.int32)
-    lights, count = np.empty(count, np.float32), 0
-    for i in range(window.rows):
-        for j in range(window.columns):
-            pixel, only, first, sky = i * window.columns + j, alone[i, j], count, 0
-            row, column = per_px * (window.row + i), per_px * (window.column + j)
-            if only >= 0:
-                twice_m = range_m[row, column] + range_m[row + per_px - 1, column + per_px - 1]
-                pixels[count], numbers[count] = pixel, part[only]
-                lights[count] = 8 * rays * light[only] / (twice_m * twice_m * twice_m)
-                alone[i, j] = part[only]
-                count += 1
-            if only != MIXED_PIXEL:
-                continue
-            for v in range(row, row + per_px):
-                for u in range(column, column + per_px):
-                    met = triangle[v, u]
-                    sky += met < 0
-                    if met >= 0:
-                        share = int(part[met]), float(light[met]) / float(range_m[v, u]) ** 3
-                        count = _add(numbers, lights, (first, count), share)
-            pixels[first:count] = pixel
-            alone[i, j] = numbers[first] if count == first + 1 and not sky else -1
-            free[i, j] = sky / rays
-    return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone, free)
-
-
-@inner_kernel
-def one_of(triangle: NDArray[np.int32], per_px: int, window: Window) -> tuple[NDArray[np.int32], int]:
-    """Return the triangle that all rays of each pixel of a window meet, shape (rows, columns), and a count.
-
-    The triangle is -1 if no ray meets any, and ``MIXED_PIXEL`` if the rays meet several. The count is an
-    upper limit of the number of contributions of parts to the pixels.
-
-    Args:
-        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
-        per_px: number of rays for each pixel, along rows and columns.
-        window: the pixels.
-    """
-    one, most, rays = np.empty((window.rows, window.columns), np.int32), 0, per_px * per_px
-    begin = per_px * window.column
-    end = begin + per_px * window.columns
-    step = np.uint64(per_px)  # an index without a sign is not checked, so that the loops are vectorised
-    for i in range(window.rows):
-        line = one[i]
-        first = triangle[per_px * (window.row + i), begin:end]
-        for j in range(np.uint64(window.columns)):
-            line[j] = first[step * j]
-        for v in range(per_px * (window.row + i), per_px * (window.row + i + 1)):
-            other = triangle[v, begin:end]
-            for k in range(step):
-                for j in range(np.uint64(window.columns)):
-                    line[j] = line[j] if other[step * j + k] == first[step * j] else MIXED_PIXEL
-        for j in range(np.uint64(window.columns)):
-            most += 0 if line[j] == -1 else (1 if line[j] >= 0 else rays)
-    return one, most
-
-
-@kernel
 def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
     """Return the brightness of the pixels with the materials of the file, (rows, columns), and its median.
 
@@ -283,29 +192,6 @@ def clipped(mixture: Mixture, clip: float) -> tuple[Float32Array, float]:
     for n in range(image.size):
         image[n] = min(image[n], most)
     return image.reshape(mixture.alone.shape), typical
-
-
-@inner_kernel
-def _add(
-    numbers: NDArray[np.int32], lights: Float32Array, span: tuple[int, int], share: tuple[int, float]
-) -> int:
-    """Add a ray's light to the contribution of its part to a pixel; return the number of contributions.
-
-    Args:
-        numbers: parts of the contributions, shape (M,) or more, input and output.
-        lights: light of the contributions, same shape, input and output.
-        span: index of the pixel's first contribution, and number of all contributions so far.
-        share: part that the ray meets, and brightness that it adds.
-    """
-    (first, count), (number, light) = span, share
-    k = first
-    while k < count and numbers[k] != number:
-        k += 1
-    if k == count:
-        numbers[k], lights[k] = number, 0.0
-        count += 1
-    lights[k] += light
-    return count
 
 
 @kernel

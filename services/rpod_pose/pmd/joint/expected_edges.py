@@ -148,8 +148,7 @@ def expect_edges(edges: EdgeArrays, lens: Lens, patch: Patch, shown: Shown) -> E
         change, _ = own_change(shade, profile, faintest)
         fitted_change, shift = own_change(fitted_shade, profile, least)
         before[count] = is_before_bright(patch, shown, Profile(u, v, across, down))
-        resolved = per_px > 1 or abs(shift) > ALIASED_PX
-        sample[count], place[count] = n, shift if resolved else 0.0
+        sample[count], place[count] = n, shift
         contrast[count] = gain * change if change else least
         shown_by = shown_probability(contrast[count], spread, patch.noise, patch.least)
         probability[count] = shown_by if change else 0.0

@@ -4,19 +4,20 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from rpod_geometry.finer_rays import Surface
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
 from rpod_pose.pmd.joint.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.brightness_fit import (
-    Mixture,
     faintest,
     fitted,
     misfit,
-    mixture_of,
     rendered_by_file,
 )
 from rpod_pose.pmd.joint.edge_search import Patch
+from rpod_pose.pmd.joint.mixture import Mixture, Shape, mixture_of
 from rpod_pose.pmd.rendering import Window
 from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
 from rpod_pose.registration.lie_group import PoseArrays, in_target
@@ -24,6 +25,7 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
+from rpod_target.mesh.topology import beyond_sides
 
 
 class Appearance(NamedTuple):
@@ -74,6 +76,7 @@ class PatchRenderer:
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
         self._appearance, self._config = Appearance.of(target), config
         self._faces, self._surfaces = faces_of(target), surfaces_of(target)
+        self._beyond = beyond_sides(np.asarray(target.triangles_m))
         self._room = np.empty((2, 0), np.float32)
 
     @property
@@ -101,7 +104,7 @@ class PatchRenderer:
             patch: the image.
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
-        mixture = mixture_of(hits, per_px, light_of(self._appearance, pose), self._surfaces)
+        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._surfaces))
         by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
         shade, typical = by_file
         as_seen = typical > 0.0 and patch.typical > 0.0
@@ -115,9 +118,13 @@ class PatchRenderer:
 
         Arguments as for ``render``.
         """
-        hits, light = self.cast(rays, pose), light_of(self._appearance, pose)
-        mixture = mixture_of(hits, per_px, light, self._faces)
+        hits = self.cast(rays, pose)
+        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._faces))
         return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+
+    def _shape(self, pose: PoseArrays, part: NDArray[np.int32]) -> Shape:
+        surface = Surface(self._appearance.triangles_m, self._beyond, pose.R, pose.t)
+        return Shape(surface, part, light_of(self._appearance, pose))
 
 
 def brightness_behind(patch: Patch, mixture: Mixture, blur_px: float) -> Float32Array | None:

@@ -1,0 +1,183 @@
+"""The parts of the target that the pixels of a rendering show, each with its light.
+
+A few rays for each pixel tell the place of an edge only to their distance. So a pixel beside another part has
+more rays. They are tested only against the triangles that the rays in and around the pixel meet, which takes
+a small part of the time of rays that are cast through the whole target.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rpod_geometry.finer_rays import SAMPLES, FinerHits, Surface, finer_hits
+from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
+from rpod_geometry.rays import RenderBuffers
+from rpod_pose.pmd.rendering import Window, window_of
+from rpod_schemas.arrays import Array
+from rpod_schemas.types import Float32Array
+
+SKY, SEVERAL = -1, -2
+"""Index of the triangle for a pixel that shows none, and for one with several parts. Numerics: no triangle
+has it."""
+
+
+class Mixture(NamedTuple):
+    """Contributions of the target's parts (plane faces or surfaces) to the pixels of a window; M in all."""
+
+    window: Window
+    pixel: NDArray[np.int32]
+    """Row-major index of the pixel in the window, shape (M,)."""
+    part: NDArray[np.int32]
+    """Number of the part, shape (M,)."""
+    light: Float32Array
+    """Brightness that the part adds to the pixel, shape (M,)."""
+    alone: NDArray[np.int32]
+    """Number of the only part that a pixel shows, -1 for several or the sky, shape (rows, columns)."""
+    free: Float32Array
+    """Share of each pixel that the target does not cover, shape (rows, columns)."""
+
+
+class Shape(NamedTuple):
+    """The target at the pose of a rendering."""
+
+    surface: Surface
+    part: NDArray[np.int32]
+    """Number of the part of each triangle, shape (T,)."""
+    light: Float32Array
+    """Brightness that a ray on each triangle adds, times its cubed range, shape (T,), m."""
+
+
+@kernel
+def mixture_of(rays: Array, hits: RenderBuffers, per_px: int, shape: Shape) -> Mixture:
+    """Return the parts that the pixels of a rendering show.
+
+    Args:
+        rays: unit rays, sensor axes, shape (3, per_px * rows, per_px * columns).
+        hits: their first hits, shape (per_px * rows, per_px * columns).
+        per_px: number of rays for each pixel, along rows and columns.
+        shape: the target.
+    """
+    window, (light, part) = window_of(hits.triangle, per_px), (shape.light, shape.part)
+    one, several, most = _one_of(hits.triangle, per_px, window, part)
+    finer = finer_hits(rays, hits.triangle, per_px, several, shape.surface)
+    alone, free = np.full(one.shape, -1, np.int32), np.zeros(one.shape, np.float32)
+    pixels, numbers, lights = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32)
+    count, mixed = 0, 0
+    for i in range(window.rows):
+        for j in range(window.columns):
+            only, pixel = one[i, j], i * window.columns + j
+            if only == SKY:
+                free[i, j] = 1.0
+            elif only >= 0:
+                row, column = per_px * (window.row + i), per_px * (window.column + j)
+                pixels[count], numbers[count] = pixel, part[only]
+                lights[count] = _light(hits, light, row, column, per_px)
+                alone[i, j], count = part[only], count + 1
+            else:
+                first = count
+                count, sky = _add_rays(finer, mixed, shape, (numbers, lights), count)
+                for k in range(first, count):
+                    pixels[k] = pixel
+                alone[i, j] = numbers[first] if count == first + 1 and not sky else -1
+                free[i, j], mixed = sky / SAMPLES**2, mixed + 1
+    return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone, free)
+
+
+@inner_kernel
+def _one_of(
+    triangle: NDArray[np.int32], per_px: int, window: Window, part: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
+    """Return a triangle of the only part that rays in and around each pixel of a window meet.
+
+    It has the shape (rows, columns). It is ``SKY`` if no ray meets any, and ``SEVERAL`` if the rays meet
+    several parts. Row and column of these pixels follow, shape (P, 2), and an upper limit of the number of
+    contributions of parts to all pixels.
+
+    Args:
+        triangle: triangle that each ray meets, -1 for none, shape (per_px * rows, per_px * columns).
+        per_px: number of rays for each pixel, along rows and columns.
+        window: the pixels.
+        part: number of the part of each triangle, shape (T,).
+    """
+    one, (rows, columns) = np.empty((window.rows, window.columns), np.int32), triangle.shape
+    several, count, alone = np.empty((one.size, 2), np.int32), 0, 0
+    step = np.uint64(per_px)  # an index without a sign is not checked, so that the loops are vectorised
+    left = per_px * window.column
+    for i in range(window.rows):
+        line, row = one[i], per_px * (window.row + i)
+        first = triangle[row, left:]
+        for j in range(np.uint64(window.columns)):
+            line[j] = first[step * j]
+        for v in range(max(row - 1, 0), min(row + per_px + 1, rows)):
+            for k in range(-1, per_px + 1):
+                skipped, begin = (1, left + per_px + k) if left + k < 0 else (0, left + k)
+                number = min(window.columns - skipped, (columns - begin + per_px - 1) // per_px)
+                own, of, other = first[per_px * skipped :], line[skipped:], triangle[v, begin:]
+                for j in range(np.uint64(number)):
+                    of[j] = of[j] if other[step * j] == own[step * j] else SEVERAL
+        for j in range(window.columns):
+            column = per_px * (window.column + j)
+            if line[j] == SEVERAL and _one_part(triangle, part, row, column, per_px):
+                line[j] = triangle[row, column]
+            alone += line[j] >= 0
+            if line[j] == SEVERAL:
+                several[count, 0], several[count, 1] = window.row + i, window.column + j
+                count += 1
+    return one, several[:count], alone + SAMPLES * SAMPLES * count
+
+
+@inner_kernel
+def _one_part(
+    triangle: NDArray[np.int32], part: NDArray[np.int32], row: int, column: int, per_px: int
+) -> bool:
+    """Return whether all rays in and around a pixel, given by its first ray, meet one part."""
+    rows, columns = triangle.shape
+    only = triangle[row, column]
+    for i in range(max(row - 1, 0), min(row + per_px + 1, rows)):
+        for j in range(max(column - 1, 0), min(column + per_px + 1, columns)):
+            k = triangle[i, j]
+            if k < 0 or only < 0 or part[k] != part[only]:
+                return False
+    return True
+
+
+@inlined_kernel
+def _light(hits: RenderBuffers, light: Float32Array, row: int, column: int, per_px: int) -> float:
+    """Return the mean brightness that a pixel's rays add."""
+    total = 0.0
+    for i in range(row, row + per_px):
+        for j in range(column, column + per_px):
+            range_m = hits.range_m[i, j]
+            total += light[hits.triangle[i, j]] / (range_m * range_m * range_m)
+    return total / (per_px * per_px)
+
+
+@inlined_kernel
+def _add_rays(
+    finer: FinerHits, pixel: int, shape: Shape, parts: tuple[NDArray[np.int32], Float32Array], first: int
+) -> tuple[int, int]:
+    """Add the contributions of a pixel's parts; return the number of all, and that of rays to the sky.
+
+    Args:
+        finer: hits of the pixels with several parts.
+        pixel: which of them.
+        shape: the target.
+        parts: parts and light of all contributions, shape (M,) or more, input and output.
+        first: number of contributions so far.
+    """
+    (numbers, lights), (light, part), share = parts, (shape.light, shape.part), np.float32(1.0 / SAMPLES**2)
+    count, sky, before, slot = first, 0, -1, first
+    for n in range(SAMPLES * SAMPLES):
+        met, near = finer.triangle[pixel, n], finer.inverse[pixel, n]
+        if met < 0:
+            sky += 1
+            continue
+        if met != before:  # most rays meet the triangle that the ray before them meets
+            before, slot = met, first
+            while slot < count and numbers[slot] != part[met]:
+                slot += 1
+            if slot == count:
+                numbers[slot], lights[slot], count = part[met], 0.0, count + 1
+        lights[slot] += share * light[met] * near * near * near
+    return count, sky
