@@ -129,7 +129,13 @@ def _fill_middle(rays: Array, around: _Around, per_px: int, middle: FloatArray) 
 
 @inlined_kernel
 def _met(triangle: NDArray[np.int32], around: _Around, tried: NDArray[np.int32]) -> int:
-    """Fill the list of the triangles that the coarser rays meet; return their number."""
+    """Return the number of the triangles that some coarser rays meet, and list them.
+
+    Args:
+        triangle: as in ``finer_hits``, shape (per_px * rows, per_px * columns).
+        around: the rays.
+        tried: output, shape (MOST_TRIED,).
+    """
     count = 0
     for v in range(around.top, around.bottom + 1):
         for u in range(around.left, around.right + 1):
@@ -140,7 +146,10 @@ def _met(triangle: NDArray[np.int32], around: _Around, tried: NDArray[np.int32])
 
 @inlined_kernel
 def _listed(tried: NDArray[np.int32], count: int, k: int) -> int:
-    """Add a triangle to a list of some, unless it is in it or there is no room; return their number."""
+    """Add a triangle to a list of some, shape (MOST_TRIED,), unless it is in it or the list is full.
+
+    Return their number.
+    """
     n = 0
     while n < count and tried[n] != k:
         n += 1

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import chdtri, expit, ndtri, softmax
 
 from rpod_geometry.rays import NEAREST_M
-from rpod_pose.pmd.joint.brightness_fit import MOST_SIGMAS
+from rpod_pose.pmd.joint.brightness.brightness_fit import MOST_SIGMAS
 from rpod_pose.pmd.joint.depth_points import add_depth_points
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem
 from rpod_pose.pmd.joint.frame import moved_px

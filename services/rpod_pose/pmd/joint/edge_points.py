@@ -134,8 +134,7 @@ def add_edge_points(  # noqa: PLR0917
         at, across, down = seen.at, seen.across, seen.down
         if across == 0.0 and down == 0.0:
             continue
-        shown = expected_edges.place[m]
-        shown = shown if abs(shown) > errors.aliased_px else 0.0
+        shown = expected_edges.place[m] * (abs(expected_edges.place[m]) > errors.aliased_px)
         column, row = at.column - patch.column + shown * across, at.row - patch.row + shown * down
         line = Profile(column, row, across, down)
         place, change = steepest(image, line, reach, least)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer, Shown
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -35,7 +36,6 @@ from rpod_pose.pmd.joint.edge_search import (
     steepest,
 )
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.pmd.joint.patch_renderer import PatchRenderer, Shown
 from rpod_pose.registration.lie_group import PoseArrays, in_sensor, in_target
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array

@@ -13,7 +13,7 @@ from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import NEAREST_M, GridArrays
 from rpod_pose.pmd.depth_view import DepthView, stray_light
-from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
+from rpod_pose.pmd.joint.brightness.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.depth_points import DepthImages, coarse_ranges
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, CoarsePixels, Lens, Patch
 from rpod_pose.registration.lie_group import PoseArrays

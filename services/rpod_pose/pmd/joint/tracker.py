@@ -33,7 +33,8 @@ from rpod_pose.pmd.joint.alternatives import (
     log_likelihoods,
     poses_of,
 )
-from rpod_pose.pmd.joint.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.brightness.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.check.belief import by_distances, edges_in_place, frame_belief, source_of
 from rpod_pose.pmd.joint.check.bright_beyond import marked, or_by_depth
 from rpod_pose.pmd.joint.check.noisy_ranges import MedianError
@@ -45,7 +46,6 @@ from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
-from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays

@@ -21,11 +21,11 @@ from rpod_pose.pmd.joint.alternatives import (
     log_likelihoods,
     start_steps,
 )
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import expect_edges
 from rpod_pose.pmd.joint.frame import JointFrame, moved_px
-from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
 from rpod_pose.registration.brightness import faces_of, surfaces_of

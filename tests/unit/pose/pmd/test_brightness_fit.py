@@ -6,7 +6,7 @@ import pytest
 
 from rpod_geometry.finer_rays import SAMPLES, Surface
 from rpod_geometry.rays import GridArrays, RayGrid, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.brightness_fit import (
+from rpod_pose.pmd.joint.brightness.brightness_fit import (
     Behind,
     adapt,
     clipped,
@@ -15,9 +15,9 @@ from rpod_pose.pmd.joint.brightness_fit import (
     ratio_of,
     squares_of,
 )
+from rpod_pose.pmd.joint.brightness.mixture import Mixture, Shape, mixture_of
+from rpod_pose.pmd.joint.brightness.patch_renderer import brightness_behind
 from rpod_pose.pmd.joint.edge_search import Patch
-from rpod_pose.pmd.joint.mixture import Mixture, Shape, mixture_of
-from rpod_pose.pmd.joint.patch_renderer import brightness_behind
 from rpod_pose.pmd.rendering import SKY_PX, Window, window_of
 from rpod_schemas.types import Camera
 from rpod_target.mesh.topology import beyond_sides

@@ -6,6 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.pmd_frames import CAMERA
 
 from rpod_pose.pmd.depth_view import DepthView
+from rpod_pose.pmd.joint.brightness.patch_renderer import Appearance, PatchRenderer, light_of
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import NOT_SATURATED, Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import (
@@ -15,7 +16,6 @@ from rpod_pose.pmd.joint.expected_edges import (
     shown_probability,
 )
 from rpod_pose.pmd.joint.frame import moved_px
-from rpod_pose.pmd.joint.patch_renderer import Appearance, PatchRenderer, light_of
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.poses import make_pose

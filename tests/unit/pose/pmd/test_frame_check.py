@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import PixelMarks
-from rpod_pose.pmd.joint.amplitude_noise import noise_of, noise_of_change, typical_of
+from rpod_pose.pmd.joint.brightness.amplitude_noise import noise_of, noise_of_change, typical_of
 from rpod_pose.pmd.joint.check.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_schemas.config.motion import FACING

@@ -12,7 +12,8 @@ from tests.pmd_frames import frame_of, strange_frames
 from rpod_campaign.pmd.world import World, built
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import AMPLITUDE_LEFT_OUT
-from rpod_pose.pmd.joint.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.brightness.amplitude_noise import correlation_px
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.depth_points import CoarseRanges, DepthImages, coarse_ranges
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_points import (
@@ -27,7 +28,6 @@ from rpod_pose.pmd.joint.edge_search import CoarsePixels
 from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, expect_edges
 from rpod_pose.pmd.joint.fit import DepthErrors, _shares, near_the_pose
 from rpod_pose.pmd.joint.frame import JointFrame, _around
-from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.pmd.methods import ideal_frames
 from rpod_pose.ports import Registration

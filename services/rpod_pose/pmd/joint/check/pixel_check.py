@@ -14,12 +14,12 @@ import numpy as np
 from scipy.constants import speed_of_light
 
 from rpod_geometry.rays import Hits, RenderBuffers, cast_pose
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.check.bright_beyond import unsupported
 from rpod_pose.pmd.joint.check.frame_check import BRIGHT, Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.joint.check.reflections import reflected_m
 from rpod_pose.pmd.joint.fit import Measured, agreement
 from rpod_pose.pmd.joint.frame import JointFrame
-from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.lie_group import PoseArrays

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from rpod_geometry.finer_rays import Surface
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
-from rpod_pose.pmd.joint.amplitude_noise import sky_of
-from rpod_pose.pmd.joint.brightness_fit import (
+from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
+from rpod_pose.pmd.joint.brightness.brightness_fit import (
     faintest,
     fitted,
     misfit,
     rendered_by_file,
 )
+from rpod_pose.pmd.joint.brightness.mixture import Mixture, Shape, mixture_of
 from rpod_pose.pmd.joint.edge_search import Patch
-from rpod_pose.pmd.joint.mixture import Mixture, Shape, mixture_of
 from rpod_pose.pmd.rendering import Window
 from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
 from rpod_pose.registration.lie_group import PoseArrays, in_target

@@ -131,7 +131,15 @@ def _one_of(
 def _one_part(
     triangle: NDArray[np.int32], part: NDArray[np.int32], row: int, column: int, per_px: int
 ) -> bool:
-    """Return whether all rays in and around a pixel, given by its first ray, meet one part."""
+    """Return whether all rays in and around a pixel meet one part.
+
+    Args:
+        triangle: as for ``_one_of``, shape (per_px * rows, per_px * columns).
+        part: as for ``_one_of``, shape (T,).
+        row: row of the pixel's first ray.
+        column: column of this ray.
+        per_px: number of rays for each pixel, along rows and columns.
+    """
     rows, columns = triangle.shape
     only = triangle[row, column]
     for i in range(max(row - 1, 0), min(row + per_px + 1, rows)):
@@ -144,7 +152,15 @@ def _one_part(
 
 @inlined_kernel
 def _light(hits: RenderBuffers, light: Float32Array, row: int, column: int, per_px: int) -> float:
-    """Return the mean brightness that a pixel's rays add."""
+    """Return the mean brightness that a pixel's rays add.
+
+    Args:
+        hits: first hits of the rays, shape (per_px * rows, per_px * columns).
+        light: as in ``Shape``, shape (T,), m.
+        row: row of the pixel's first ray.
+        column: column of this ray.
+        per_px: number of rays for each pixel, along rows and columns.
+    """
     total = 0.0
     for i in range(row, row + per_px):
         for j in range(column, column + per_px):

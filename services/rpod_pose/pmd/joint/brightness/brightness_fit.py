@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.pmd.joint.amplitude_noise import sky_of
+from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
+from rpod_pose.pmd.joint.brightness.mixture import Mixture
 from rpod_pose.pmd.joint.edge_search import Patch
-from rpod_pose.pmd.joint.mixture import Mixture
 from rpod_pose.pmd.rendering import Window
 from rpod_schemas.types import Float32Array
 
