@@ -65,30 +65,27 @@ def finer_hits(
     places, tried = (down, across), np.empty(MOST_TRIED, np.int32)
     met = np.full((len(pixels), number), -1, np.int32)
     inverse = np.zeros((len(pixels), number), np.float32)
-    sides, facing = np.empty((len(surface.beyond), 9)), np.zeros(len(surface.beyond), np.int8)
+    sides, facing = _sides_of(surface)
     middle, linear = np.empty(9), np.empty(9, np.float32)
     for p in range(len(pixels)):
         around = _around(triangle.shape, per_px * pixels[p, 0], per_px * pixels[p, 1], per_px)
         _fill_middle(rays, around, per_px, middle)
         coarse = _met(triangle, around, tried)
         for m in range(coarse):
-            if facing[tried[m]] == 0:
-                facing[tried[m]] = _fill_sides(surface, tried[m], sides)
             _fill_linear(sides, tried[m], middle, linear)
             _test(linear, tried[m], places, (met, inverse), p)
-        count, m = coarse, 0
-        while m < count and met[p].min() < 0:
+        count, m = coarse, 0 if _missed(met, p) else coarse
+        while m < count:
             k = tried[m]
-            _fill_linear(sides, k, middle, linear)
+            further = _further(surface.beyond, facing, k, tried, count)
+            if m >= coarse or further:
+                _fill_linear(sides, k, middle, linear)
             if m >= coarse:
                 _test(linear, k, places, (met, inverse), p)
-            crossed = _crossed(linear, places, met, p)
+            crossed = further & _crossed(linear, places, met, p) if further else 0
             for side in range(3):
-                other = surface.beyond[k, side] if crossed & (1 << side) else -1
-                if other >= 0 and facing[other] == 0:
-                    facing[other] = _fill_sides(surface, other, sides)
-                if other >= 0 and facing[other] > 0:
-                    count = _listed(tried, count, other)
+                if crossed & (1 << side):
+                    count = _listed(tried, count, surface.beyond[k, side])
             m += 1
     return FinerHits(met, inverse)
 
@@ -145,18 +142,55 @@ def _met(triangle: NDArray[np.int32], around: _Around, tried: NDArray[np.int32])
 
 
 @inlined_kernel
+def _place(tried: NDArray[np.int32], count: int, k: int) -> int:
+    """Return the place of a triangle in a list, shape (MOST_TRIED,); the list's length if it is not in it."""
+    n = 0
+    while n < count and tried[n] != k:
+        n += 1
+    return n
+
+
+@inlined_kernel
 def _listed(tried: NDArray[np.int32], count: int, k: int) -> int:
     """Add a triangle to a list of some, shape (MOST_TRIED,), unless it is in it or the list is full.
 
     Return their number.
     """
-    n = 0
-    while n < count and tried[n] != k:
-        n += 1
+    n = _place(tried, count, k)
     if n == count and n < MOST_TRIED:
         tried[n] = k
         return count + 1
     return count
+
+
+@inlined_kernel
+def _further(
+    beyond: NDArray[np.int32], facing: NDArray[np.bool_], k: int, tried: NDArray[np.int32], count: int
+) -> int:
+    """Return a bit for each side of a triangle beyond which a triangle faces the sensor and is not listed.
+
+    Args:
+        beyond: as in ``Surface``, shape (T, 3).
+        facing: whether a triangle faces the sensor, shape (T,).
+        k: the triangle.
+        tried: listed triangles, shape (MOST_TRIED,).
+        count: number of them.
+    """
+    further = 0
+    for side in range(3):
+        other = beyond[k, side]
+        if other >= 0 and facing[other] and _place(tried, count, other) == count:
+            further |= 1 << side
+    return further
+
+
+@inlined_kernel
+def _missed(met: NDArray[np.int32], p: int) -> bool:
+    """Return whether a ray of a pixel has no hit, by ``FinerHits.triangle``, shape (P, SAMPLES^2)."""
+    missed = False
+    for n in range(SAMPLES * SAMPLES):
+        missed |= met[p, n] < 0
+    return missed
 
 
 @inlined_kernel
@@ -221,31 +255,29 @@ def _fill_linear(sides: FloatArray, k: int, middle: FloatArray, linear: Float32A
 
 
 @inner_kernel
-def _fill_sides(surface: Surface, k: int, sides: FloatArray) -> int:
-    """Fill the products v_i x v_j of a triangle's corners over v0 . (v1 x v2), 1/m.
+def _sides_of(surface: Surface) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the products v_i x v_j of each triangle's corners over v0 . (v1 x v2), 1/m, shape (T, 9).
 
-    With a ray within the triangle they are positive and add up to one over its range (``rays``).
-
-    Args:
-        surface: the target.
-        k: the triangle.
-        sides: output, shape (T, 9).
-
-    Returns:
-        1 for a triangle that is seen from outside, -1 for one from behind.
+    With a ray within the triangle they are positive and add up to one over its range (``rays``). Whether the
+    triangle faces the sensor follows, shape (T,).
     """
-    corner, R, t = np.empty((3, 3)), surface.R, surface.t
-    for n in range(3):
+    number, R, t, corner = len(surface.beyond), surface.R, surface.t, np.empty((3, 3))
+    sides, facing = np.empty((number, 9)), np.empty(number, np.bool_)
+    for k in range(number):
+        for n in range(3):
+            x, y, z = surface.triangles_m[k, n, 0], surface.triangles_m[k, n, 1], surface.triangles_m[k, n, 2]
+            for i in range(3):
+                corner[n, i] = t[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+        volume = 0.0
+        for n in range(3):
+            a, b = n, (n + 1) % 3
+            sides[k, 3 * n] = corner[a, 1] * corner[b, 2] - corner[a, 2] * corner[b, 1]
+            sides[k, 3 * n + 1] = corner[a, 2] * corner[b, 0] - corner[a, 0] * corner[b, 2]
+            sides[k, 3 * n + 2] = corner[a, 0] * corner[b, 1] - corner[a, 1] * corner[b, 0]
         for i in range(3):
-            corner[n, i] = t[i]
-            for j in range(3):
-                corner[n, i] += R[i, j] * surface.triangles_m[k, n, j]
-    for n in range(3):
-        a, b = n, (n + 1) % 3
-        sides[k, 3 * n] = corner[a, 1] * corner[b, 2] - corner[a, 2] * corner[b, 1]
-        sides[k, 3 * n + 1] = corner[a, 2] * corner[b, 0] - corner[a, 0] * corner[b, 2]
-        sides[k, 3 * n + 2] = corner[a, 0] * corner[b, 1] - corner[a, 1] * corner[b, 0]
-    volume = sides[k, 0] * corner[2, 0] + sides[k, 1] * corner[2, 1] + sides[k, 2] * corner[2, 2]
-    for n in range(9):
-        sides[k, n] /= volume
-    return 1 if volume < 0.0 else -1
+            volume += sides[k, i] * corner[2, i]
+        per_volume = 1.0 / volume
+        for n in range(9):
+            sides[k, n] *= per_volume
+        facing[k] = volume < 0.0
+    return sides, facing

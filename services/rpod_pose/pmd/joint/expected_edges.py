@@ -41,17 +41,16 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 STILL_PX = 0.5
-"""Largest motion in the image after which a rendering is still valid. Physics: its rays are half a pixel
-apart."""
+"""Largest motion in the image after which a rendering is still valid. Physics: coarse rays that are half a
+pixel apart show the same parts."""
 OWN_PX = 1.0
 """Largest distance between an edge and its change in the rendering. Physics: the width of a pixel."""
 MERGED_PX = 1.7
 """Largest distance of two edges that are one change of the image. Physics: two steps under a normal blur have
 one steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
-"""Displacement of an edge that counts as 0 before the last steps, and with one ray for each pixel. Physics:
-half of ``STILL_PX``; the displacement differs with the pose as far as this, and rays a pixel apart show it
-this poorly."""
+"""Displacement of an edge that counts as 0 before the last steps. Physics: half of ``STILL_PX``; in a rendering
+at a pose as far away, the displacement differs as much."""
 DIRECTIONS = 4
 """Number of directions of edges that are distinguished in a pixel. Hand: they are 45 deg apart; edges that
 are closer are one change."""

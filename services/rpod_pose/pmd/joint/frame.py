@@ -36,8 +36,8 @@ SPARSE = 4
 computation."""
 FINE_PX, FINE_RAYS = 70_000, 2
 """Largest number of pixels of a patch that is rendered with several rays for each pixel, and the number of
-these rays along rows and columns, which finds edges to a tenth of a pixel. Numerics: a budget; in a larger
-patch, a pixel is small on the target."""
+these rays along rows and columns, which meet thin parts. Numerics: a budget; in a larger patch, a pixel is
+small on the target. Pixels that show edges have more (``finer_rays``)."""
 _STEEPEST_RAD = np.radians(89.0)
 """Largest angle of a ray from the boresight. Numerics: its tangent is finite."""
 MIN_PATCH = 3

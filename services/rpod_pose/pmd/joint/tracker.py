@@ -64,8 +64,8 @@ LEADS_PX = 0.1
 """Least motion in the image at which further steps are said to lead away from a pose. Physics: a tenth of a
 pixel is the least error of an edge."""
 SAME_PX = 0.25
-"""Largest distance in the image between two alignments that count as the same. Physics: a tenth of a pixel is
-the least error of an edge, and rays half a pixel apart resolve a quarter at best."""
+"""Largest distance in the image between two alignments that count as the same. Physics: two and a half times
+the least error of an edge, a tenth of a pixel."""
 CERTAIN_PX = 1.6
 """Largest distance in the image from the prediction at which an alignment cannot have matched wrong edges.
 Physics: the width of an edge, twice the standard deviation of the smoothing."""
