@@ -23,6 +23,8 @@ FLAT = 0.02
 the range by noise is larger, that in saturated and dark areas is smaller."""
 NOT_SATURATED = np.zeros((0, 0), np.uint8)
 """Mask of an image without saturated pixels."""
+NO_PHASE = np.empty(0)
+"""Stands for an image whose modulation frequencies are unknown."""
 MIDDLE = 2
 """Half length of the middle of a profile, px. Hand: an edge in its predicted place lies in this part."""
 
@@ -85,6 +87,9 @@ class Patch(NamedTuple):
     """1 where saturated pixels shift edges, shape (rows, columns); shape (0, 0) if none is saturated."""
     unranged: NDArray[np.uint8] = NOT_SATURATED
     """1 where no range is measured, shape (rows, columns); shape (0, 0) if that is unknown."""
+    rad_per_m: FloatArray = NO_PHASE
+    """Phase of light over the range of what it returns from, by modulation frequency, shape (F,), rad/m;
+    shape (0,) if the camera states no frequency."""
 
 
 class Imaged(NamedTuple):

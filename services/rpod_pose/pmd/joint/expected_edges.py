@@ -49,8 +49,8 @@ MERGED_PX = 1.7
 """Largest distance of two edges that are one change of the image. Physics: two steps under a normal blur have
 one steepest place if they are nearer than twice its width, 1.6 px by the smoothing alone."""
 ALIASED_PX = 0.25
-"""Displacement of an edge that counts as 0 before the last steps. Physics: half of ``STILL_PX``; in a rendering
-at a pose as far away, the displacement differs as much."""
+"""Displacement of an edge that counts as 0 before the last steps. Physics: half of ``STILL_PX``; in a
+rendering at a pose as far away, the displacement differs as much."""
 DIRECTIONS = 4
 """Number of directions of edges that are distinguished in a pixel. Hand: they are 45 deg apart; edges that
 are closer are one change."""

@@ -8,6 +8,7 @@ from typing import Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.kernels import kernel
@@ -149,7 +150,6 @@ class JointFrame:
             typical = patch.typical
         shade[_unknown_shade(frame, view)] = np.nan
         per_px = FINE_RAYS if patch.image.size <= FINE_PX else 1
-        frequencies_hz = np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
         return cls(
             view,
             range_m,
@@ -167,7 +167,7 @@ class JointFrame:
             patch,
             _rays_of(patch, view, per_px),
             per_px,
-            frequencies_hz,
+            _frequencies_hz(frame),
         )
 
     def finely(self) -> Self:
@@ -353,7 +353,14 @@ def _patch(
     if saturated is not None:
         mixed = _widened(saturated, math.ceil(MIXED_BLURS * config.blur_px)).view(np.uint8)
     unranged = (~(frame.depth_m[around] > 0.0)).view(np.uint8)
-    return Patch(smooth, float(columns.start), float(rows.start), least, noise, typical, mixed, unranged)
+    rad_per_m = 4.0 * np.pi / speed_of_light * _frequencies_hz(frame)
+    at = float(columns.start), float(rows.start)
+    return Patch(smooth, *at, least, noise, typical, mixed, unranged, rad_per_m)
+
+
+def _frequencies_hz(frame: PmdFrame) -> FloatArray:
+    """Return the modulation frequencies, shape (F,), Hz; shape (0,) if the camera does not state them."""
+    return np.empty(0) if frame.info is None else frame.info.modulation_frequency_hz
 
 
 def _widened(mask: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:

@@ -1,5 +1,7 @@
 """Parts that the pixels of a rendering show, and the brightness that is fitted to them."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pytest
@@ -37,20 +39,30 @@ def rendered(triangles_m: np.ndarray, per_px: int) -> tuple[GridArrays, RenderBu
     return rays, hits
 
 
-def mixture(*spans: tuple[Span, Span], per_px: int = 1, light: float = 1.0) -> Mixture:
-    """Return what pixels show of rectangles at 1 m, each a part, by first and last + 1 of its lines."""
+def mixture(
+    *spans: tuple[Span, Span],
+    per_px: int = 1,
+    light: float = 1.0,
+    behind_m: float = 0.0,
+    rad_per_m: Sequence[float] = (),
+) -> Mixture:
+    """Return what pixels show of rectangles at 1 m, each a part, by first and last + 1 of its lines.
+
+    Each is ``behind_m`` farther away than the one before it.
+    """
     triangles_m = []
     for rows, columns in spans:
         (top, bottom), (left, right) = ((np.array(span) - 0.5) / CAMERA.fx for span in (rows, columns))
         a, b, c, d = (left, top, 1.0), (left, bottom, 1.0), (right, bottom, 1.0), (right, top, 1.0)
-        triangles_m += [(a, b, c), (a, c, d)]
+        z_m = 1.0 + behind_m * len(triangles_m) / 2
+        triangles_m += [z_m * np.array((a, b, c)), z_m * np.array((a, c, d))]
     corners_m = np.array(triangles_m).reshape(-1, 3, 3)
     if not len(corners_m):  # nothing in view: behind the camera
         corners_m = -np.ones((1, 3, 3))
     part = np.arange(len(corners_m), dtype=np.int32) // 2
     rays, hits = rendered(corners_m, per_px)
     surface = Surface(corners_m, beyond_sides(corners_m), np.eye(3), np.zeros(3))
-    shape = Shape(surface, part, np.full(len(corners_m), light, np.float32))
+    shape = Shape(surface, part, np.full(len(corners_m), light, np.float32), np.array(rad_per_m))
     return mixture_of(rays.components, hits, per_px, shape)
 
 
@@ -73,6 +85,19 @@ def test_a_pixel_shows_of_each_part_as_much_as_it_covers(per_px: int) -> None:
     assert (np.diff(seen.pixel) >= 0).all()
     whole = mixed(np.ones(2, np.float32), seen, np.float32(0.5))
     assert whole.max() == 0.5
+
+
+def test_a_pixel_adds_the_phasors_of_its_parts() -> None:
+    """Two parts of half a pixel each, with opposite phases, show nothing; with another frequency half."""
+    spans = ((20, 30), (20, 40.5)), ((20, 30), (40.5, 60))
+    light, behind_m = 1.0, 0.01
+    shown = []
+    for rad_per_m in ((), (np.pi / behind_m,), (np.pi / behind_m, 2.0 * np.pi / behind_m)):
+        seen = mixture(*spans, light=light, behind_m=behind_m, rad_per_m=rad_per_m)
+        image = mixed(np.ones(2, np.float32), seen, np.float32(np.inf))
+        shown.append(image[25 - seen.window.row, 40 - seen.window.column])
+        np.testing.assert_allclose(image[25 - seen.window.row, 38 - seen.window.column], 1.0, rtol=1e-3)
+    np.testing.assert_allclose(shown, (0.985, 0.015, 0.5), atol=0.01)
 
 
 def test_a_step_multiplies_a_part_by_its_mean_ratio() -> None:

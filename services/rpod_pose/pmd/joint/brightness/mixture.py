@@ -5,6 +5,7 @@ more rays. They are tested only against the triangles that the rays in and aroun
 a small part of the time of rays that are cast through the whole target.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,12 @@ from rpod_geometry.finer_rays import SAMPLES, FinerHits, Surface, finer_hits
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.rays import RenderBuffers
 from rpod_pose.pmd.rendering import Window, window_of
-from rpod_schemas.arrays import Array
+from rpod_schemas.arrays import Array, FloatArray
 from rpod_schemas.types import Float32Array
 
+IN_PHASE_RAD = 0.1
+"""Largest difference of phase that counts as none. Numerics: the amplitude of their sum is a thousandth
+smaller at most."""
 SKY, SEVERAL = -1, -2
 """Index of the triangle for a pixel that shows none, and for one with several parts. Numerics: no triangle
 has it."""
@@ -46,6 +50,8 @@ class Shape(NamedTuple):
     """Number of the part of each triangle, shape (T,)."""
     light: Float32Array
     """Brightness that a ray on each triangle adds, times its cubed range, shape (T,), m."""
+    rad_per_m: FloatArray
+    """Phase of light over the range of what it returns from, by modulation frequency, shape (F,), rad/m."""
 
 
 @kernel
@@ -196,4 +202,34 @@ def _add_rays(
             if slot == count:
                 numbers[slot], lights[slot], count = part[met], 0.0, count + 1
         lights[slot] += share * light[met] * near * near * near
+    kept = np.float32(_kept(finer, pixel, shape))
+    for slot in range(first, count):
+        lights[slot] *= kept
     return count, sky
+
+
+@inlined_kernel
+def _kept(finer: FinerHits, pixel: int, shape: Shape) -> float:
+    """Return the amplitude of a pixel over the sum of those of its rays.
+
+    A pixel adds the phasors of what it shows. Parts that differ in range have different phases, so that their
+    amplitudes do not add up. An image of several modulation frequencies has the mean of their amplitudes.
+    Arguments as for ``_add_rays``.
+    """
+    low, high = np.float32(np.inf), np.float32(0.0)
+    for n in range(SAMPLES * SAMPLES):
+        near = finer.inverse[pixel, n]
+        low, high = (min(low, near) if near > 0.0 else low), max(high, near)
+    total, kept, frequencies = 0.0, 0.0, len(shape.rad_per_m)
+    if frequencies == 0 or not (1.0 / low - 1.0 / high) * shape.rad_per_m[0] > IN_PHASE_RAD:
+        return 1.0
+    for f in range(frequencies):
+        real, imaginary, total = 0.0, 0.0, 0.0
+        for n in range(SAMPLES * SAMPLES):
+            met, near = finer.triangle[pixel, n], finer.inverse[pixel, n]
+            if met >= 0:
+                amplitude, phase = shape.light[met] * near * near * near, shape.rad_per_m[f] / near
+                real, imaginary = real + amplitude * math.cos(phase), imaginary + amplitude * math.sin(phase)
+                total += amplitude
+        kept += math.hypot(real, imaginary)
+    return kept / total / frequencies if total > 0.0 else 1.0

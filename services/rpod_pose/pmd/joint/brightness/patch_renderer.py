@@ -104,7 +104,7 @@ class PatchRenderer:
             patch: the image.
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
-        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._surfaces))
+        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._surfaces, patch))
         by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
         shade, typical = by_file
         as_seen = typical > 0.0 and patch.typical > 0.0
@@ -119,12 +119,12 @@ class PatchRenderer:
         Arguments as for ``render``.
         """
         hits = self.cast(rays, pose)
-        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._faces))
+        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._faces, patch))
         return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
 
-    def _shape(self, pose: PoseArrays, part: NDArray[np.int32]) -> Shape:
+    def _shape(self, pose: PoseArrays, part: NDArray[np.int32], patch: Patch) -> Shape:
         surface = Surface(self._appearance.triangles_m, self._beyond, pose.R, pose.t)
-        return Shape(surface, part, light_of(self._appearance, pose))
+        return Shape(surface, part, light_of(self._appearance, pose), patch.rad_per_m)
 
 
 def brightness_behind(patch: Patch, mixture: Mixture, blur_px: float) -> Float32Array | None:
