@@ -15,6 +15,7 @@ from rpod_pose.pmd.joint.brightness_fit import (
     fitted,
     misfit,
     mixture_of,
+    predicted,
     rendered_by_file,
 )
 from rpod_pose.pmd.joint.edge_search import Patch
@@ -82,6 +83,11 @@ class PatchRenderer:
         """Radius of the target's bounding sphere about its origin."""
         return self._appearance.radius_m
 
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the blur of images, px."""
+        return self._config.blur_px
+
     def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
         """Return the first hits of a patch's rays at a pose; the next call overwrites them."""
         rows, columns = rays.components.shape[1:]
@@ -116,9 +122,24 @@ class PatchRenderer:
 
         Arguments as for ``render``.
         """
-        triangle, light = self.cast(rays, pose).triangle, light_of(self._appearance, pose)
-        mixture = mixture_of(triangle, per_px, light, self._faces)
+        mixture = self._faces_at(rays, per_px, pose)
         return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+
+    def predicted(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Float32Array:
+        """Return the image of the patch's pixels at a pose, with the brightness of each face fitted.
+
+        Arguments as for ``render``.
+        """
+        mixture = self._faces_at(rays, per_px, pose)
+        shown = predicted(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+        image, (row, column, rows, columns) = np.full_like(patch.image, shown.sky), mixture.window
+        image[row : row + rows, column : column + columns] = shown.image
+        return image
+
+    def _faces_at(self, rays: GridArrays, per_px: int, pose: PoseArrays) -> Mixture:
+        """Return the faces that the pixels of a patch show at a pose; arguments as for ``render``."""
+        light = light_of(self._appearance, pose)
+        return mixture_of(self.cast(rays, pose).triangle, per_px, light, self._faces)
 
 
 def brightness_behind(patch: Patch, mixture: Mixture, blur_px: float) -> Float32Array | None:
