@@ -49,7 +49,7 @@ from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shar
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
-from rpod_pose.pmd.whole_image.first_pose import at_likeliest, is_coarse
+from rpod_pose.pmd.joint.whole_image.first_pose import at_likeliest, is_coarse
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import Belief
 from rpod_pose.pmd.joint.tracker import JointTracker
+from rpod_pose.pmd.joint.whole_image.first_pose import COARSE, is_coarse
 from rpod_pose.pmd.view_search import _Aligned
-from rpod_pose.pmd.whole_image.first_pose import COARSE, is_coarse
 from rpod_pose.ports import Registration
 from rpod_pose.registration.lie_group import PoseArrays, moved
 from rpod_schemas.config.motion import FACING

@@ -8,7 +8,7 @@ from rpod_pose.pmd.joint.alternatives import MOST_DROP_LOG
 from rpod_pose.pmd.joint.fit import JointProblem
 from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.joint.patch_renderer import PatchRenderer
-from rpod_pose.pmd.whole_image.climb import Whole, climbed
+from rpod_pose.pmd.joint.whole_image.climb import Whole, climbed
 from rpod_pose.ports import Registration
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
