@@ -238,6 +238,15 @@ class WholeFrameTracker(Protocol):
         ...
 
 
+@runtime_checkable
+class ClimbingTracker(Protocol):
+    """A tracker that spends more computation on a coarse first pose."""
+
+    def climbed(self, measurement: Any, found: Registration) -> Registration:
+        """Return a coarse registration at the likeliest pose nearby, or the registration itself."""
+        ...
+
+
 class Deskew(Protocol):
     """Moves points that were measured at other times to where they were at the frame's stamp."""
 

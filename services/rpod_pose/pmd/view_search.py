@@ -33,23 +33,31 @@ are best with the file's materials, the search is repeated by shape alone, with 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri, logit, softmax
+from scipy.special import logit, softmax
 
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.belief import contradicted
 from rpod_pose.pmd.fit import PmdFitter
 from rpod_pose.pmd.frame_search import FrameSearch, Model, Pose
-from rpod_pose.pmd.joint.alternatives import CLEAR_LOG
+from rpod_pose.pmd.joint.alternatives import CLEAR_LOG, MOST_DROP_LOG, poses_of
 from rpod_pose.pmd.joint.frame import moved_px
 from rpod_pose.pmd.scene import PmdScene, scene_of
-from rpod_pose.ports import Acquisition, ComparingTracker, Outcome, Registration, WholeFrameTracker
+from rpod_pose.ports import (
+    Acquisition,
+    ClimbingTracker,
+    ComparingTracker,
+    Outcome,
+    Registration,
+    WholeFrameTracker,
+)
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.search.attitude_grid import attitudes_of, within
-from rpod_pose.search.hypotheses import belief_with_rivals, rivals
+from rpod_pose.search.hypotheses import belief_with_rivals, rivals, spread_of, standing
 from rpod_pose.search.turns import matrices
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.search import PmdAcquisitionConfig
@@ -62,9 +70,6 @@ MOST_BIAS_SIGMAS = 2.0
 smaller."""
 MOST_BIASES = 8
 """Largest number of biases that are tried on each side. Numerics: a budget of computation."""
-MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
-"""Largest decrease of the log likelihood by an accepted alignment. Physics: the six parameters of the pose
-may have been fitted to noise before, and a likelihood-ratio test at 99 % allows for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +107,14 @@ class _Aligned:
     def is_accepted(self) -> bool:
         """Whether the tracker believes the pose: a first pose needs more than a track."""
         return self.registration.belief.level is BeliefLevel.ACCEPTED
+
+    def climbed(self, tracker: ComparingTracker[PmdFrame], frame: PmdFrame) -> Self:
+        """Return the likeliest pose nearby, if this one is coarse."""
+        if not isinstance(tracker, ClimbingTracker):
+            return self
+        found = tracker.climbed(frame, self.registration)
+        R, t = (self.R, self.t) if found is self.registration else poses_of([found])[0]
+        return replace(self, R=R, t=t, registration=found)
 
 
 class ViewSearch:
@@ -182,12 +195,13 @@ class ViewSearch:
             return task.failed(aligned[0].registration)
         logs = self._tracker.log_likelihoods(task.frame, [each.registration for each in believed])
         believed, logs = self._merged(believed, logs)
-        best, least = believed[0], tuning.ambiguous_weight
+        best = believed[0]
         if better := self._better(task.frame, best, aligned, per_loss):
             reason = f"a refused pose explains the frame better than the accepted ones; refused as {better}"
             return task.failed(replace(best.registration, belief=contradicted(reason)))
-        found = rivals(believed, logs, self._model.turns.exact)
-        belief = belief_with_rivals(found, best.registration.belief, least=least)
+        best = best.climbed(self._tracker, task.frame)
+        found = rivals([best, *believed[1:]], logs, self._model.turns.exact)
+        belief = belief_with_rivals(found, best.registration.belief, least=tuning.ambiguous_weight)
         return Acquisition(replace(best.registration, belief=belief), templates=len(task.attitudes))
 
     def _merged(self, aligned: list[_Aligned], logs: FloatArray) -> tuple[list[_Aligned], FloatArray]:
@@ -208,7 +222,7 @@ class ViewSearch:
             same = [pose for pose, is_near in zip(aligned, near, strict=True) if is_near]
             gains = logs[near] - logs[near][0]
             best = same[int(gains.argmax()) if gains.max() > CLEAR_LOG else 0]
-            spread = self._spread(best, same, softmax(gains))
+            spread = spread_of(best, same, softmax(gains), self._model.target.equivalence)
             registration, parts = best.registration, best.registration.parts
             registration = replace(
                 registration,
@@ -220,15 +234,6 @@ class ViewSearch:
             most.append(logs[near].max())
         order = np.argsort(-np.array(most), kind="stable")
         return [merged[index] for index in order], np.array(most)[order] - max(most)
-
-    def _spread(self, best: _Aligned, poses: list[_Aligned], weights: FloatArray) -> FloatArray:
-        """Return the weighted mean square of (dp, dtheta) from one pose to several, shape (6, 6), m, rad."""
-        middle, alike = pose_of(best.R, best.t), self._model.target.equivalence
-        others = [alike.nearest_pose(pose_of(pose.R, pose.t), middle) for pose in poses]
-        turns = [(other.rotation * middle.rotation.inv()).as_rotvec() for other in others]
-        steps = np.column_stack(([pose.t - best.t for pose in poses], turns))
-        spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
-        return spread
 
     def _turned(self, task: _Task, search: FrameSearch, aligned: list[_Aligned]) -> list[Pose]:
         """Return turns of the best accepted pose that were not aligned yet and may be rivals.
@@ -344,7 +349,7 @@ class ViewSearch:
         found = self._settled(task.frame, self._tracked(task.frame, pose, bias_m))
         if bias_m and found.belief.level is not BeliefLevel.ACCEPTED:
             other = self._settled(task.frame, self._tracked(task.frame, pose, 0.0))
-            found = max(found, other, key=_standing)
+            found = max(found, other, key=standing)
         evidence = {"mean_loss": pose.fit.mean_loss, **found.belief.evidence}
         return replace(found, belief=replace(found.belief, evidence=evidence))
 
@@ -385,12 +390,7 @@ class ViewSearch:
 
     def _preferred(self, frame: PmdFrame, again: Registration, found: Registration) -> bool:
         """Return whether an alignment is believed more than the previous one, or equally and is likelier."""
-        if _standing(again) != _standing(found):
-            return _standing(again) > _standing(found)
+        if standing(again) != standing(found):
+            return standing(again) > standing(found)
         before, after = self._tracker.log_likelihoods(frame, [found, again], ranked_only=True)
         return bool(after > before)
-
-
-def _standing(found: Registration) -> tuple[bool, bool]:
-    """Return the rank of a registration's belief; larger is better."""
-    return found.belief.level is BeliefLevel.ACCEPTED, found.continues_track

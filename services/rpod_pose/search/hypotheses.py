@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import softmax
 
 from rpod_pose.belief import SYMMETRY, Belief, Rival
+from rpod_pose.ports import Registration
 from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import pose_of
@@ -37,6 +38,23 @@ def rivals(poses: Sequence[Placed], log_likelihoods: FloatArray, exact: Equivale
             name = SYMMETRY if pose is best else _name(best.R, pose.R, exact)
             found.append(Rival(name, pose_of(pose.R @ turn, pose.t), float(log - log_likelihoods[0])))
     return tuple(found)
+
+
+def spread_of(best: Placed, poses: Sequence[Placed], weights: FloatArray, alike: Equivalence) -> FloatArray:
+    """Return the weighted mean square of (dp, dtheta) from one pose to several, shape (6, 6), m, rad.
+
+    Args:
+        best: the one pose.
+        poses: the others.
+        weights: weights of the others, shape (N,).
+        alike: symmetries of the target; of each pose the equivalent one nearest to the best counts.
+    """
+    middle = pose_of(best.R, best.t)
+    others = [alike.nearest_pose(pose_of(pose.R, pose.t), middle) for pose in poses]
+    turns = [(other.rotation * middle.rotation.inv()).as_rotvec() for other in others]
+    steps = np.column_stack(([pose.t - best.t for pose in poses], turns))
+    spread: FloatArray = np.einsum("n,ni,nj->ij", weights, steps, steps)
+    return spread
 
 
 def _name(best: FloatArray, other: FloatArray, exact: Equivalence) -> str:
@@ -70,3 +88,8 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
         f"({least:g} needed), the next is {first.name}"
     )
     return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=found)
+
+
+def standing(found: Registration) -> tuple[bool, bool]:
+    """Return the rank of a registration's belief; larger is better."""
+    return found.belief.level is BeliefLevel.ACCEPTED, found.continues_track

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.belief import contradicted, doubtful
 from rpod_pose.cancellation import stop_if_cancelled
-from rpod_pose.ports import ComparingTracker, Registration, Tracker
+from rpod_pose.ports import ClimbingTracker, ComparingTracker, Registration, Tracker
 from rpod_pose.surroundings.frames import Frames, FrameT
 from rpod_pose.surroundings.separation import RangeImage
 from rpod_pose.surroundings.sight import SIGMAS, Margin, Sight, with_target_at
@@ -149,6 +149,12 @@ class TrackerAmongThings(Generic[FrameT]):
         if not isinstance(self._tracker, ComparingTracker):
             return np.zeros(len(found))
         return self._tracker.log_likelihoods(measurement, found, ranked_only=ranked_only)
+
+    def climbed(self, measurement: FrameT, found: Registration) -> Registration:
+        """Return a coarse registration at the likeliest pose nearby, if nothing else is in the frame."""
+        if not isinstance(self._tracker, ClimbingTracker) or MARGIN in found.belief.evidence:
+            return found
+        return self._tracker.climbed(measurement, found)
 
     def without_target_at(self, image: RangeImage, found: Registration) -> Sight:
         """Return the classes of a frame's rays at a measured pose, with the widest margin."""

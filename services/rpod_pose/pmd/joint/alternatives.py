@@ -35,6 +35,15 @@ from rpod_schemas.poses import pose_of
 CLEAR_LOG = 0.5 * float(chdtri(1, 0.05))
 """Least difference of two log likelihoods at which one pose is preferred. Physics: a likelihood-ratio test at
 95 %."""
+MOST_DROP_LOG = 0.5 * float(chdtri(6, 0.01))
+"""Largest decrease of the log likelihood by an accepted alignment. Physics: the six parameters of the pose
+may have been fitted to noise before, and a likelihood-ratio test at 99 % allows for them."""
+LEADS_PX = 0.1
+"""Least motion in the image at which further steps are said to lead away from a pose. Physics: a tenth of a
+pixel is the least error of an edge."""
+SAME_PX = 0.25
+"""Largest distance in the image between two alignments that count as the same. Physics: two and a half times
+the least error of an edge, a tenth of a pixel."""
 PATIENCE, MOST_STARTS = 3, 12
 """Number of starts without a likelier pose after which no further one is tried, and largest number of starts.
 Numerics: budgets of computation."""
@@ -104,15 +113,22 @@ def depth_loss(problem: JointProblem, state: State) -> float:
 
     The points have the weight of at most ``most_points`` independent points, as in the alignment.
     """
-    points, errors = problem.points, problem.depth_errors
+    points = problem.points
     whole = float(points.trust.sum())
     if not whole:
         return 0.0
-    variance = max(errors.noise_m**2, errors.spread_m2) + errors.uneven_m**2 + errors.slack_m**2
+    variance, share = depth_errors_of(problem)
     most = MOST_SIGMAS * float(np.sqrt(variance))
     near = add_depth_points(no_sums(), points, problem.planes, state, problem.field, most)
     squares = near.squares_m2 + (whole - near.trusted) * most**2
-    return 0.5 * min(errors.most_points, whole) * squares / (whole * variance)
+    return 0.5 * share * squares / variance
+
+
+def depth_errors_of(problem: JointProblem) -> tuple[float, float]:
+    """Return the variance of a point's residual, m2, and the share of the points that are independent."""
+    errors, whole = problem.depth_errors, float(problem.points.trust.sum())
+    variance = max(errors.noise_m**2, errors.spread_m2) + errors.uneven_m**2 + errors.slack_m**2
+    return variance, min(errors.most_points, whole) / whole
 
 
 def likeliest(

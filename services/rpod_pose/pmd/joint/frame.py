@@ -174,6 +174,19 @@ class JointFrame:
         """Return the frame with ``FINE_RAYS`` rays along rows and columns of each pixel of the patch."""
         return replace(self, rays=_rays_of(self.patch, self.view, FINE_RAYS), per_px=FINE_RAYS)
 
+    def radius_px(self, radius_m: float) -> float:
+        """Return a target's radius in the image, px, at the median depth of its visible points."""
+        return float(self.view.camera.fx * radius_m / self.away_m)
+
+    def px_per_m_along(self, t: FloatArray, radius_m: float) -> float:
+        """Return the motion of a target's outline, px, per metre of its motion along the line of sight."""
+        away_m, range_m = max(float(t[2]), self.away_m), max(math.hypot(*t), NEAREST_M)
+        return float(self.view.camera.fx * radius_m / away_m / range_m)
+
+    def fills(self, radius_m: float) -> float:
+        """Return a target's radius over the image's smaller side; above 1 few of its parts are in view."""
+        return self.radius_px(radius_m) / min(self.view.camera.width, self.view.camera.height)
+
     @cached_property
     def lens(self) -> Lens:
         """The camera, as the kernels take it."""

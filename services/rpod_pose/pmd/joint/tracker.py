@@ -13,19 +13,21 @@ agree, but the edges do not. If one image shows nothing of the target, only the 
 source of the pose names it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from math import hypot, inf, radians
+from math import inf, radians
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_geometry.rays import NEAREST_M, Hits, RenderBuffers
+from rpod_geometry.rays import Hits, RenderBuffers
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.alternatives import (
+    LEADS_PX,
+    SAME_PX,
     Aligned,
     along_sight,
     depth_loss,
@@ -47,6 +49,7 @@ from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
+from rpod_pose.pmd.joint.whole_image.first_pose import at_likeliest, is_coarse
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
 from rpod_pose.registration.field_alignment import Points, field_aligned
@@ -60,12 +63,6 @@ from rpod_schemas.poses import pose_of
 from rpod_schemas.types import PmdFrame, Source
 from rpod_target import Target
 
-LEADS_PX = 0.1
-"""Least motion in the image at which further steps are said to lead away from a pose. Physics: a tenth of a
-pixel is the least error of an edge."""
-SAME_PX = 0.25
-"""Largest distance in the image between two alignments that count as the same. Physics: two and a half times
-the least error of an edge, a tenth of a pixel."""
 CERTAIN_PX = 1.6
 """Largest distance in the image from the prediction at which an alignment cannot have matched wrong edges.
 Physics: the width of an edge, twice the standard deviation of the smoothing."""
@@ -173,19 +170,32 @@ class JointTracker:
         seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
         if isinstance(seen, str) or len(found) == 1:
             return np.zeros(len(found))
-        problem = self._problem(seen, self._sights(seen).blank(pose), self._near[-1:], self._edge_errors)
+        depth_at = self._depth_near(seen, pose)
 
         def loss(state: State) -> float:
-            return self._loss(seen, state, near_the_pose(problem, self._planes(seen, state.pose)))
+            return self._loss(seen, state, depth_at(state.pose))
 
         return log_likelihoods(found, loss, ranked_only=ranked_only)
+
+    def climbed(self, measurement: PmdFrame, found: Registration) -> Registration:
+        """Return a coarse registration at the likeliest pose nearby: ports.ClimbingTracker."""
+        pose = poses_of([found])[0]
+        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
+        if isinstance(seen, str) or not is_coarse(found, self._target.radius_m):
+            return found
+        return at_likeliest(found, seen, self._renderer, self._depth_near(seen, pose), self._target.radius_m)
+
+    def _depth_near(self, seen: JointFrame, pose: PoseArrays) -> Callable[[PoseArrays], JointProblem]:
+        """Return the function that returns the problem of the depth alone at poses near one."""
+        problem = self._problem(seen, self._sights(seen).blank(pose), self._near[-1:], self._edge_errors)
+        return lambda pose: near_the_pose(problem, self._planes(seen, pose))
 
     def _likeliest(
         self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"
     ) -> Registration:
         """Return the registration of the likeliest pose near an aligned one, if its prediction is far off."""
-        aligned, found = tried
-        focal_px, radius_m, pose = seen.lens.fx, self._target.radius_m, aligned.fit.state.pose
+        (aligned, found), radius_m = tried, self._target.radius_m
+        focal_px, pose = seen.lens.fx, aligned.fit.state.pose
         deviations = np.sqrt(np.diag(found.covariance).reshape(2, 3).sum(axis=1))
         sigma_px = focal_px / seen.away_m * float(deviations @ (1.0, radius_m))
         if seen.moved_px(predicted, pose, radius_m) < max(CERTAIN_PX, CERTAIN_SIGMAS * sigma_px):
@@ -205,8 +215,7 @@ class JointTracker:
 
     def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
         """Yield starting poses with their schedules, shape (S, 2); those with the fewest steps come first."""
-        tuning = self._tuning
-        pose = sight.expected.pose
+        tuning, pose = self._tuning, sight.expected.pose
         share = self._check.explained(seen, pose, self._buffers_of(seen.view))
         in_place = self._in_place(seen, sight, pose)
         if in_place is None and share >= tuning.fair_share:
@@ -233,9 +242,7 @@ class JointTracker:
 
     def _along_sight(self, seen: JointFrame, state: State) -> list[State]:
         """Return poses along the line of sight, whose edges move by the reach of the search between two."""
-        t, away_m = state.pose.t, max(float(state.pose.t[2]), seen.away_m)
-        range_m = max(hypot(*t), NEAREST_M)
-        px_per_m = seen.view.camera.fx * self._target.radius_m / away_m / range_m
+        px_per_m = seen.px_per_m_along(state.pose.t, self._target.radius_m)
         step_m = self._tuning.edges.final_search_px / px_per_m if 0.0 < px_per_m < inf else inf
         return along_sight(state, sigma_m=self._ranges.bias_m, step_m=step_m)
 
@@ -361,8 +368,8 @@ class JointTracker:
             lines=line_sums(problem, fit.state, shares, self._lines),
             weak=self._weak,
             bias_m=self._depth_errors.bias_m,
-            radius_px=self._radius_px(seen),
-            wider=max(1.0, self._fills(seen)),
+            radius_px=seen.radius_px(self._target.radius_m),
+            wider=max(1.0, seen.fills(self._target.radius_m)),
         )
 
     def _edges_in_place(self, seen: JointFrame, aligned: Aligned) -> float:
@@ -380,18 +387,11 @@ class JointTracker:
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
         """Return the share of the expected edges near their place at a pose; None if too few are seen."""
         tuning = self._tuning
-        reach = tuning.edges.final_search_px * float(np.clip(2.0 * self._fills(seen), 1.0, MOST_WIDER))
+        wider = float(np.clip(2.0 * seen.fills(self._target.radius_m), 1.0, MOST_WIDER))
+        reach = tuning.edges.final_search_px * wider
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         enough = found.checked >= tuning.acceptance.min_edges
         return found.found / max(found.expected, 1.0) if enough else None
-
-    def _radius_px(self, seen: JointFrame) -> float:
-        """Return the target's radius in the image, px, at the median depth of its visible points."""
-        return float(seen.view.camera.fx * self._target.radius_m / seen.away_m)
-
-    def _fills(self, seen: JointFrame) -> float:
-        """Return the target's radius over the image's smaller side; above 1 few of its parts are in view."""
-        return self._radius_px(seen) / min(seen.view.camera.width, seen.view.camera.height)
 
     def _buffers_of(self, view: DepthView) -> RenderBuffers:
         shape = view.coarse.shape

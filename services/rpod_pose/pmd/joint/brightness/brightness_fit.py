@@ -64,10 +64,45 @@ def rendered_by_file(mixture: Mixture, *, clip: float, blur_px: float) -> ByFile
     return ByFile(_blurred(shade, blur_px), typical)
 
 
-def fitted(patch: Patch, mixture: Mixture, by_file: ByFile, *, clip: float, blur_px: float) -> Float32Array:
+def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
+    """Return minus the log likelihood of an image at a pose, with the brightness of parts and sky fitted.
+
+    All pixels have the same weight. Pixels within one blur share their errors, so the sum is divided by the
+    area 4 pi blur^2 of the blur's autocorrelation. Arguments as for ``fitted``.
+    """
+    shown = predicted(patch, mixture, clip=clip, blur_px=blur_px)
+    return 0.5 * squares_of(patch, shown, mixture.window) / (4.0 * np.pi * blur_px**2)
+
+
+def predicted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> "Behind":
+    """Return the image at a pose, with the brightness of parts and sky fitted; arguments as for ``fitted``.
+
+    A wall may be behind the target: if the sky were assumed to be dark, a pose that hides more of the wall
+    would be likelier.
+    """
+    free = _blurred(mixture.free.copy(), blur_px)
+    sky = sky_of(patch, free, mixture.window)
+    shown = np.float32(sky) * free
+    if mixture.pixel.size:
+        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
+        shown = shown + fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px, behind=shown)
+    return Behind(shown, sky)
+
+
+def fitted(
+    patch: Patch,
+    mixture: Mixture,
+    by_file: ByFile,
+    *,
+    clip: float,
+    blur_px: float,
+    behind: Float32Array | None = None,
+) -> Float32Array:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
-    A part with few pixels, or without a pixel that shows only this part, keeps the brightness of the file.
+    Without a brightness ``behind`` the target, pixels that show a single part decide, and a part with few
+    pixels, or without such a pixel, keeps the brightness of the file. With it, all pixels have the same
+    weight, and the file has none.
 
     Args:
         patch: the image, smoothed.
@@ -75,39 +110,7 @@ def fitted(patch: Patch, mixture: Mixture, by_file: ByFile, *, clip: float, blur
         by_file: the rendering with the materials of the file.
         clip: largest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
-    """
-    return _fitted(patch, mixture, by_file, clip, blur_px)
-
-
-def misfit(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) -> float:
-    """Return minus the log likelihood of an image at a pose, with the brightness of parts and sky fitted.
-
-    All pixels have the same weight. Pixels within one blur share their errors, so the sum is divided by the
-    area 4 pi blur^2 of the blur's autocorrelation. A wall may be behind the target: if the sky were assumed
-    to be dark, a pose that hides more of the wall would be likelier. Arguments as for ``fitted``.
-    """
-    free = _blurred(mixture.free.copy(), blur_px)
-    sky = sky_of(patch, free, mixture.window)
-    shown = np.float32(sky) * free
-    if mixture.pixel.size:
-        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
-        shown = shown + _fitted(patch, mixture, by_file, clip, blur_px, behind=shown)
-    return 0.5 * squares_of(patch, Behind(shown, sky), mixture.window) / (4.0 * np.pi * blur_px**2)
-
-
-def _fitted(
-    patch: Patch,
-    mixture: Mixture,
-    by_file: ByFile,
-    clip: float,
-    blur_px: float,
-    *,
-    behind: Float32Array | None = None,
-) -> Float32Array:
-    """Return the rendering after ``ROUNDS`` steps; other arguments as for ``fitted``.
-
-    With the brightness ``behind`` the target, shape as the window, all pixels have the same weight, and the
-    file has none. Without it, pixels that show a single part decide, or the file for a part without any.
+        behind: brightness behind the target on the pixels of the window; None if it is not fitted.
     """
     (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
     image, alone = patch.image[row : row + rows, column : column + columns], behind is None

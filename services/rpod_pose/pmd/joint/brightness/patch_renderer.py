@@ -14,6 +14,7 @@ from rpod_pose.pmd.joint.brightness.brightness_fit import (
     faintest,
     fitted,
     misfit,
+    predicted,
     rendered_by_file,
 )
 from rpod_pose.pmd.joint.brightness.mixture import Mixture, Shape, mixture_of
@@ -84,6 +85,11 @@ class PatchRenderer:
         """Radius of the target's bounding sphere about its origin."""
         return self._appearance.radius_m
 
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the blur of images, px."""
+        return self._config.blur_px
+
     def cast(self, rays: GridArrays, pose: PoseArrays) -> RenderBuffers:
         """Return the first hits of a patch's rays at a pose; the next call overwrites them."""
         rows, columns = rays.components.shape[1:]
@@ -118,9 +124,24 @@ class PatchRenderer:
 
         Arguments as for ``render``.
         """
-        hits = self.cast(rays, pose)
-        mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._faces, patch))
+        mixture = self._faces_at(rays, per_px, pose, patch)
         return misfit(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+
+    def predicted(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Float32Array:
+        """Return the image of the patch's pixels at a pose, with the brightness of each face fitted.
+
+        Arguments as for ``render``.
+        """
+        mixture = self._faces_at(rays, per_px, pose, patch)
+        shown = predicted(patch, mixture, clip=self._config.clip, blur_px=self._config.blur_px)
+        image, (row, column, rows, columns) = np.full_like(patch.image, shown.sky), mixture.window
+        image[row : row + rows, column : column + columns] = shown.image
+        return image
+
+    def _faces_at(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Mixture:
+        """Return the faces that the pixels of a patch show at a pose; arguments as for ``render``."""
+        hits = self.cast(rays, pose)
+        return mixture_of(rays.components, hits, per_px, self._shape(pose, self._faces, patch))
 
     def _shape(self, pose: PoseArrays, part: NDArray[np.int32], patch: Patch) -> Shape:
         surface = Surface(self._appearance.triangles_m, self._beyond, pose.R, pose.t)

@@ -1,0 +1,1 @@
+"""The likeliest pose near an aligned one, by the whole amplitude image and the depth."""
