@@ -26,7 +26,6 @@ from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.control import Accepted, ResetRequest
-from rpod_schemas.errors import Reason
 from rpod_schemas.topics import STATUS
 from rpod_schemas.types import Mode
 from rpod_target import Target, load_target
@@ -162,6 +161,6 @@ class _Service:
         if output is not None:
             self._outputs.publish_estimate(output, self._beacon.take(output, arrived))
             since_s = arrived.arrival_s if arrived is not None else None
-            frozen = arrived is not None and arrived.refused == Reason.FROZEN
+            frozen = arrived is not None and arrived.is_frozen
             integrity = self._estimator.integrity(output, frozen=frozen)
             self._outputs.publish_judgement(output.status, integrity, since_s=since_s)

@@ -41,8 +41,8 @@ the 2018 paper it is 1.3 %."""
 _MOST_DARK = 200
 """Largest number of measured pixels with which an amplitude of zeros may be right, because they are faint."""
 FROZEN_REPEATS = 2
-"""Least number of repetitions of a frame's content from a frozen sensor: the third frame is refused. A driver
-may send one frame twice."""
+"""Least number of repetitions of a frame's content from a frozen sensor. A driver may send one frame twice:
+the second one is refused, since it was not measured at its stamp, but is no alert."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,11 @@ class Arrived:
     """Possible cause, from the sensor's last frames, why they are refused; empty if there is none."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """In a replay: evidence in the status of this frame in the live run."""
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether its sensor is frozen, and does not only send one frame twice."""
+        return self.refused == Reason.FROZEN and self.repeats >= FROZEN_REPEATS
 
     @property
     def came_in_time(self) -> bool:
@@ -261,7 +266,7 @@ class FrameReader:
         """
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
-        if repeats < FROZEN_REPEATS or not _shows_something(measurement.data):
+        if not repeats or not _shows_something(measurement.data):
             reader = self._sensors[sensor].reader
             defect, unused = _defect(measurement.data)
             if unused in type(measurement.data).model_fields:

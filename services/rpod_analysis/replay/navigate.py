@@ -30,7 +30,6 @@ from rpod_pose.measurement import Tick
 from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
-from rpod_schemas.errors import Reason
 from rpod_schemas.rmw.cdr import NANOSECONDS
 from rpod_schemas.topics import (
     CONTRADICTION,
@@ -272,7 +271,7 @@ class _Feed:
             output = self._estimator.process(event)
             self.processing_s.append(time.perf_counter() - started_s)
             self._reader.pinned = self._estimator.pins_setups
-            yield output, event.refused == Reason.FROZEN
+            yield output, event.is_frozen
 
     def _reset_before(self, stamp_ns: int) -> None:
         """Repeat the resets that took effect at a frame or before it."""

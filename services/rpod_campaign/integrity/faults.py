@@ -43,8 +43,6 @@ FAULTS = (
 """All kinds, with their sizes."""
 BY_NAME = {fault.name: fault for fault in FAULTS}
 FAULT_NAMES = tuple(BY_NAME)
-FROZEN_REPEATS = 2
-"""Number of repetitions from which on the estimator refuses frames as frozen, before the navigator."""
 OTHERS = {"hexagonal-body": "mockup"}
 """Model that is looked for in ``wrong_target``, by the target; ``hexagonal-body`` for all others."""
 

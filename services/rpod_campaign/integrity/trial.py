@@ -19,7 +19,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
-from rpod_campaign.integrity.faults import FROZEN_REPEATS, Injector, TurnedTracker, model_of
+from rpod_campaign.integrity.faults import Injector, TurnedTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of
 from rpod_campaign.sequences.course import EPOCH_S, Course, lidar_of
 from rpod_campaign.sequences.judged import Arrived, judged
@@ -86,7 +86,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
             is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
             truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
             turned[clean.sensor].truth = truth
-            yield Arrived(time_s, measurement, mine and injector.repeats >= FROZEN_REPEATS)
+            yield Arrived(time_s, measurement, injector.repeats if mine else 0)
 
     told = judged(settings, methods, model, arriving(), T_chaser_target=course.truth(0.0))
     return [

@@ -18,14 +18,18 @@ from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Integrity
 from rpod_target import Target
 
+FROZEN_REPEATS = 2
+"""Number of repetitions from which on the estimator takes a stream for frozen."""
+
 
 class Arrived(NamedTuple):
     """A measurement as the estimator gets it."""
 
     time_s: float
     measurement: Measurement
-    frozen: bool = False
-    """Whether the estimator refuses it, before the navigator, since it is identical to those before."""
+    repeats: int = 0
+    """Number of measurements in a row, up to this one, that equal the one before. The estimator refuses them
+    before the navigator."""
 
 
 class Judged(NamedTuple):
@@ -67,11 +71,11 @@ def judged(
     monitor, memory = Monitor(settings), Memory()
     state = navigator.start(T_chaser_target)
     for each in arriving:
-        if each.frozen:
+        if each.repeats:
             output = _refused(each.measurement, state)
         else:
             state, output = navigator.step(state, each.measurement)
-        memory, integrity = monitor.assess(memory, state, output, frozen=each.frozen)
+        memory, integrity = monitor.assess(memory, state, output, frozen=each.repeats >= FROZEN_REPEATS)
         yield Judged(each, state, output, integrity)
 
 

@@ -184,13 +184,13 @@ def test_the_arrival_of_a_frame_is_that_of_its_last_part():
     assert arrived.arrival_s == 3.0
 
 
-def test_the_third_frame_of_the_same_content_is_refused_as_frozen_until_another_content_comes():
+def test_a_repeated_frame_is_refused_and_the_third_shows_a_frozen_stream_until_another_comes():
     bench, reasons = Bench(), []
     for number in range(5):
         bench.send_frame(NOW_NS + number, frozen=True)
         (arrived,) = bench.arrived()
-        reasons.append((arrived.refused, arrived.measurement is None))
-    assert reasons == [("", False), ("", False), *[("frozen", True)] * 3]
+        reasons.append((arrived.refused, arrived.measurement is None, arrived.is_frozen))
+    assert reasons == [("", False, False), ("frozen", True, False), *[("frozen", True, True)] * 3]
     assert arrived.reason.startswith("frozen: the last 5 frames are identical to the bit; restart")
     other = DEPTH_M.copy()
     other[0, 0] += 1e-4
