@@ -1,5 +1,6 @@
 """What a check says of a target: openings, straight edges, expected accuracy, and its picture."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,9 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
+from rpod_analysis.target_check import check
 from rpod_analysis.target_check.accuracy import _information
-from rpod_analysis.target_check.check import described_frame
+from rpod_analysis.target_check.check import check_target, described_frame
 from rpod_analysis.target_check.edges import straight_edges
 from rpod_analysis.target_check.holes import openings
 from rpod_analysis.target_check.page import render_views
@@ -42,6 +44,36 @@ def test_a_closed_box_has_no_opening_and_twelve_straight_edges(tmp_path: Path) -
     assert [edge.length_m for edge in edges[:4]] == pytest.approx([2.0] * 4)
     assert edges[0].angle_deg == pytest.approx(90.0)
     assert edges[0].seen_up_to_m["pmd"] > edges[0].seen_up_to_m["lidar"]
+
+
+def test_a_check_tells_size_parts_materials_mass_field_edges_and_accuracy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "try_methods", lambda *_, **__: ())  # takes 20 s
+    monkeypatch.setattr(check, "checked_symmetries", lambda _: [])
+    told = json.loads(
+        json.dumps(check_target(built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path)).document())
+    )
+    assert told["size"]["sides_m"] == pytest.approx([2.0, 1.0, 0.5])
+    assert told["size"]["longest_side_m"] == pytest.approx(2.0)
+    assert told["triangles"] == 12
+    (part,), (material,) = told["parts"], told["materials"]
+    assert (part["name"], part["triangles"], part["materials"]) == ("hull", 12, ["paint"])
+    assert part["area_m2"] == pytest.approx(7.0)
+    assert (material["name"], material["looks"], material["area_share"]) == ("paint", "white", 1.0)
+    about_m = 10.0 / 12.0 * np.array((1.0 + 0.25, 4.0 + 0.25, 4.0 + 1.0))
+    assert sorted(told["mass"]["principal_moments_kg_m2"]) == pytest.approx(sorted(about_m), rel=1e-3)
+    field = told["distance_field"]
+    assert field["megabytes"] == pytest.approx(np.prod(field["nodes"]) * 4e-6, rel=0.01)
+    assert field["volume_inside_m3"] == pytest.approx(19 * 9 * 4 * 0.1**3)  # nodes within the box
+    assert told["edges"] == 12
+    for sensor in told["accuracy"]:
+        seen = told["edges_seen"][sensor["sensor"]]
+        assert [float(range_m) for range_m in seen] == pytest.approx(
+            [at["range_m"] for at in sensor["ranges"]], rel=1e-3
+        )
+        assert list(seen.values()) == sorted(seen.values(), reverse=True)
+        assert all(at["points"] >= 0 and (at["sigma_position_m"] or 1.0) > 0.0 for at in sensor["ranges"])
 
 
 def test_a_part_whose_name_ends_as_that_of_a_back_is_no_back(tmp_path: Path) -> None:

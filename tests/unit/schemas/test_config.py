@@ -227,6 +227,13 @@ SCENARIO = {
 }
 
 
+def test_an_estimator_may_look_for_another_model_than_the_sensors_see():
+    same = Scenario.model_validate(SCENARIO)
+    other = Scenario.model_validate(SCENARIO | {"estimator": {"target": "mockup@off=5mm"}})
+    assert (same.target, same.model) == (SCENARIO["target"], SCENARIO["target"])
+    assert (other.target, other.model) == (SCENARIO["target"], "mockup@off=5mm")
+
+
 def test_the_estimator_of_a_scenario_listens_to_all_sensors_if_it_names_none():
     considered = {"filter": {"errors": "considered"}}
     for estimator in ({}, {"estimator": {}}, {"estimator": considered}, {"estimator": ScenarioEstimator()}):

@@ -243,6 +243,12 @@ def test_an_obj_has_objects_and_materials_also_without_its_library(tmp_path: Pat
     assert open_edges(mesh.triangles) == 0
 
 
+def test_groups_of_an_obj_without_objects_are_its_objects() -> None:
+    mesh = read_mesh_file("two.obj", OBJ.replace("\no ", "\ng ").encode(), {})
+    assert set(mesh.objects) == {"body", "antenna"}
+    assert sorted(np.bincount(mesh.triangle_object)) == [2, 4]
+
+
 def test_objects_of_one_file_are_parts_with_materials_by_name(build: Build, tmp_path: Path) -> None:
     (tmp_path / "two.obj").write_text(OBJ)
     part = {"shape": "mesh", "file": "two.obj", "metres_per_unit": 1.0}

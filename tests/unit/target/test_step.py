@@ -24,6 +24,7 @@ import pytest
 
 from rpod_target import TargetError
 from rpod_target.drafting.draft import DraftOptions, draft
+from rpod_target.mesh import step
 from rpod_target.mesh.files import MeshFile, read_mesh_file
 from rpod_target.mesh.topology import open_edges, volume_m3
 
@@ -39,6 +40,12 @@ BOXES_M = {
 @pytest.fixture(scope="module")
 def mesh() -> MeshFile:
     return read_mesh_file(FILE.name, FILE.read_bytes(), {})
+
+
+def test_without_the_extra_a_step_file_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(step, "find_spec", lambda _: None)
+    with pytest.raises(ValueError, match=r"is STEP, which needs the extra: pip install 'rpod\[step\]'"):
+        read_mesh_file(FILE.name, FILE.read_bytes(), {})
 
 
 def test_each_part_of_the_assembly_is_an_object_at_its_place_in_metres(mesh: MeshFile) -> None:

@@ -243,10 +243,11 @@ def test_the_unit_of_the_amplitude_does_not_matter(dtype: type) -> None:
     assert_within(error(registration), 0.3, 0.006)
 
 
-def test_an_error_of_all_ranges_is_told_from_the_edges() -> None:
+@pytest.mark.parametrize(("scale", "bias_m"), [(1.0, 0.03), (1.01, 0.0)], ids=["offset", "scale"])
+def test_an_error_of_all_ranges_is_told_from_the_edges(scale: float, bias_m: float) -> None:
     near = make_pose(rotation=TRUTH.rotation, translation_m=(0.0, 0.0, 2.2))
     seen = frame(near)
-    long = seen.model_copy(update={"depth_m": seen.depth_m + np.float32(0.03)})
+    long = seen.model_copy(update={"depth_m": np.float32(scale) * seen.depth_m + np.float32(bias_m)})
     assert error(TRACKER.track(long, off(near, 1.0, 0.01)), near)[1] < 0.01
 
 
