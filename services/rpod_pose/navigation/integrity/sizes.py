@@ -18,6 +18,11 @@ from rpod_pose.registration.lie_group import moved
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 
+JUMPED_SIGMAS = 30.0
+"""Difference of two rates that are those of different motions, in standard deviations. Numerics: rates of
+filters at a wrong size stay within 18 of the track's (560 frames), those that did not follow a jump have 65
+or more."""
+
 SizedFilters = Mapping[float, FilterState]
 """Filters by the relative enlargement of the target."""
 
@@ -28,7 +33,9 @@ def sized_after(
     """Return the filters after a measurement of the track.
 
     They use what the track uses, with its densities of accelerations: another decision of the gate would
-    shift them too. A filter that is not there yet begins as if all earlier poses had the same shift.
+    shift them too. A filter that is not there yet begins as if all earlier poses had the same shift. So does
+    one whose rate leaves that of the track, since a target of another size turns as fast: it did not follow
+    a jump of the track, and would end at a motion that no body has.
 
     Args:
         filters: the filters before.
@@ -43,14 +50,26 @@ def sized_after(
     for size in sizes:
         before = filters.get(size.share)
         if before is None or before.stamp_ns > measured.stamp_ns:
-            before = replace(track, T_chaser_target=moved(track.T_chaser_target, size.step))
+            before = _enlarged(track, size)
         before = replace(before, manoeuvre=track.manoeuvre, lag=track.lag)
         state = predict(before, measured.stamp_ns, config)
         if step.outcome.accepted:
             pose = moved(measured.T_chaser_target, size.step)
             state = updated(state, replace(measured, T_chaser_target=pose), ungated).state
-        found[size.share] = state
+        jumped = not _turns_like(state, step.outcome.state)
+        found[size.share] = _enlarged(step.outcome.state, size) if jumped else state
     return found
+
+
+def _enlarged(track: FilterState, size: OtherSize) -> FilterState:
+    """Return the filter at another size if all poses had the shift of the newest one."""
+    return replace(track, T_chaser_target=moved(track.T_chaser_target, size.step))
+
+
+def _turns_like(state: FilterState, track: FilterState) -> bool:
+    """Return whether a filter's rate is that of the track, within ``JUMPED_SIGMAS``."""
+    apart = state.rate_rad_s - track.rate_rad_s
+    return bool(apart @ np.linalg.solve(state.covariance[9:12, 9:12], apart) < JUMPED_SIGMAS**2)
 
 
 def shifts_of(estimate: FilterState, filters: SizedFilters, config: FilterConfig) -> dict[float, FloatArray]:

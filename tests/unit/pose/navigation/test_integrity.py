@@ -409,6 +409,21 @@ def test_the_shift_of_an_estimate_by_another_size_is_that_of_a_filter_of_shifted
     assert np.allclose(*sigmas, rtol=0.01)
 
 
+def test_a_filter_at_another_size_that_does_not_turn_like_the_track_begins_anew():
+    """A filter that did not follow a jump of its track ended at an impossible motion, and at an error."""
+    history = History(start(truth(0.0), COVARIANCE, START_NS, config=CONFIG))
+    for k in range(1, 20):
+        pose = PoseMeasurement(START_NS + k * SECOND_NS // 10, truth(0.1 * k), COVARIANCE)
+        history, _, _ = apply(history, pose, CONFIG)
+    step, size = history.steps[-1], OtherSize(0.01, 0.0, 0.01 * np.eye(6)[2])
+    for rate_rad_s, remains in ((1.65 * np.eye(3)[1], False), (step.predicted.rate_rad_s, True)):
+        before = replace(step.predicted, rate_rad_s=rate_rad_s)
+        found = sized_after({0.01: before}, (size,), step, CONFIG)[0.01]
+        assert np.allclose(found.rate_rad_s, history.state.rate_rad_s, atol=1e-3)
+        off_m = np.linalg.norm(found.T_chaser_target.translation - history.state.T_chaser_target.translation)
+        assert (off_m < 0.005) == remains  # a new filter has the whole shift of the newest pose
+
+
 def test_a_size_that_no_frame_can_exclude_takes_nothing_away_whatever_its_step_is(track):
     follow(track, PMD_S)
     stamp_ns = track.state.history.state.stamp_ns
