@@ -81,7 +81,7 @@ def test_the_message_files_equal_the_icd(name):
 
 def test_the_icd_tells_its_history_in_the_table_of_versions_alone():
     title, *rules, versions = re.split(r"^#+ ", ICD.read_text("utf-8").strip(), flags=re.M)[1:]
-    assert not re.findall(r"(?:new in|before|since) version \d\.\d", "".join(rules), re.I)
-    rows = re.findall(r"^\| (\d\.\d) \|", versions, re.M)
-    assert rows == sorted(rows)
+    assert not re.findall(r"(?:new in|before|since) version \d+\.\d+", "".join(rules), re.I)
+    rows = re.findall(r"^\| (\d+\.\d+) \|", versions, re.M)
+    assert rows == sorted(rows, key=lambda row: [int(part) for part in row.split(".")])
     assert title.startswith(f"Interface control document, version {rows[-1]}\n")
