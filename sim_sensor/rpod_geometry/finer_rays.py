@@ -19,8 +19,8 @@ SAMPLES = 4
 """Number of rays along rows and columns of a pixel. Numerics: no two are in one row or column, so that they
 tell the place of an edge along either to a sixteenth of a pixel."""
 MOST_TRIED = 32
-"""Largest number of triangles against which the rays of a pixel are tested. Numerics: a budget; sixteen rays
-and those around them meet fewer."""
+"""Largest number of triangles against which the rays of a pixel are tested. Numerics: a budget, twice the
+number of coarser rays in and around a pixel that has four; a ray that meets none of them counts as sky."""
 
 
 class Surface(NamedTuple):
