@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_estimator.frame_reader import FROZEN_REPEATS
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.integrity.memory import Memory
@@ -17,9 +18,6 @@ from rpod_schemas.errors import Reason
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Integrity
 from rpod_target import Target
-
-FROZEN_REPEATS = 2
-"""Number of repetitions from which on the estimator takes a stream for frozen."""
 
 
 class Arrived(NamedTuple):

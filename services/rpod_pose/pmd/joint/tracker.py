@@ -171,24 +171,24 @@ class JointTracker:
         if isinstance(seen, str) or len(found) == 1:
             return np.zeros(len(found))
         depth_at = self._depth_near(seen, pose)
-
-        def loss(state: State) -> float:
-            return self._loss(seen, state, depth_at(state.pose))
-
-        return log_likelihoods(found, loss, ranked_only=ranked_only)
+        return log_likelihoods(
+            found, lambda state: self._loss(seen, state, depth_at(state.pose)), ranked_only=ranked_only
+        )
 
     def climbed(self, measurement: PmdFrame, found: Registration) -> Registration:
         """Return a coarse registration at the likeliest pose nearby: ports.ClimbingTracker."""
-        pose = poses_of([found])[0]
-        seen = JointFrame.of(measurement, pose.t, radius_m=self._target.radius_m, tuning=self._tuning)
-        if isinstance(seen, str) or not is_coarse(found, self._target.radius_m):
+        if not is_coarse(found, self._target.radius_m):
             return found
-        return at_likeliest(found, seen, self._renderer, self._depth_near(seen, pose), self._target.radius_m)
+        pose, radius_m = poses_of([found])[0], self._target.radius_m
+        seen = JointFrame.of(measurement, pose.t, radius_m=radius_m, tuning=self._tuning)
+        if isinstance(seen, str):
+            return found
+        return at_likeliest(found, seen, self._renderer, self._depth_near(seen, pose), radius_m)
 
     def _depth_near(self, seen: JointFrame, pose: PoseArrays) -> Callable[[PoseArrays], JointProblem]:
         """Return the function that returns the problem of the depth alone at poses near one."""
         problem = self._problem(seen, self._sights(seen).blank(pose), self._near[-1:], self._edge_errors)
-        return lambda pose: near_the_pose(problem, self._planes(seen, pose))
+        return lambda near: near_the_pose(problem, self._planes(seen, near))
 
     def _likeliest(
         self, seen: JointFrame, sights: Sights, predicted: PoseArrays, tried: "_Tried"
@@ -387,8 +387,8 @@ class JointTracker:
     def _in_place(self, seen: JointFrame, sight: EdgeSight, pose: PoseArrays) -> float | None:
         """Return the share of the expected edges near their place at a pose; None if too few are seen."""
         tuning = self._tuning
-        wider = float(np.clip(2.0 * seen.fills(self._target.radius_m), 1.0, MOST_WIDER))
-        reach = tuning.edges.final_search_px * wider
+        reach = tuning.edges.final_search_px
+        reach *= float(np.clip(2.0 * seen.fills(self._target.radius_m), 1.0, MOST_WIDER))
         found = add_edge_points(no_sums(), sight, pose, reach, self._edge_errors)
         enough = found.checked >= tuning.acceptance.min_edges
         return found.found / max(found.expected, 1.0) if enough else None
