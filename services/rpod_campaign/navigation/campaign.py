@@ -23,6 +23,7 @@ def cells(options: Options) -> list[NavigationCell]:
             target=cached_target(target).name,
             seconds=min(options.seconds, scenario.duration_s),
             off_mm=off_mm,
+            misbuilt=misbuilt,
             declared=declared,
             world=world,
             rate_hz=rate_hz,
@@ -33,6 +34,7 @@ def cells(options: Options) -> list[NavigationCell]:
         for world in options.world
         for rate_hz in _rates(options, scenario)
         for off_mm in options.off_mm
+        for misbuilt in (options.misbuilt if off_mm else ("parts",))
         for declared in (options.declared if off_mm else (1.0,))
     ]
 

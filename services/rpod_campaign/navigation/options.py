@@ -1,6 +1,6 @@
 """Options of ``navigation``."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -27,7 +27,10 @@ class Options(CampaignOptions):
     rate: tuple[Positive, ...] = ()
     """Rates of the cameras instead of those of the scenario, Hz; the other sensors keep theirs."""
     off_mm: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0,)
-    """Standard deviation of the places and sizes of the target's parts from its model, mm."""
+    """How far the target is off its model, one standard deviation, mm."""
+    misbuilt: Annotated[tuple[Literal["parts", "surface"], ...], Field(min_length=1)] = ("parts",)
+    """What is off: places and sizes of the parts, or each coordinate of the whole surface, of which near
+    places have nearly the same error, as tolerance_m of a target's file declares it."""
     declared: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
     """Tolerance that the model declares, over the true one; 1 is right."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)

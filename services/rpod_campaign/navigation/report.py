@@ -149,11 +149,12 @@ def _figure(results: Results) -> Any:
 
 def _name(cell: NavigationCell) -> tuple[str, ...]:
     declared = number(cell.declared if cell.off_mm else None)
+    what = cell.misbuilt if cell.off_mm else number(None)
     scenario = in_world(cell.scenario, cell.world)
-    return scenario, cell.target, number(cell.rate_hz), f"{cell.off_mm:g}", declared
+    return scenario, cell.target, number(cell.rate_hz), f"{cell.off_mm:g}", what, declared
 
 
-_NAMES = ("scenario", "target", "camera, Hz", "off, mm", "declared over true")
+_NAMES = ("scenario", "target", "camera, Hz", "off, mm", "what is off", "declared over true")
 
 
 def _table(results: Results) -> Table:

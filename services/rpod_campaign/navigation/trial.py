@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from numpy.random import Generator
 from scipy.spatial.transform import RigidTransform
 
 from rpod_analysis.scoring.handover import Offset, beyond
@@ -33,6 +34,8 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.schedule import lockstep_steps
 from rpod_schemas.types import Integrity
 from rpod_target import Target
+from rpod_target.mesh.topology import unit_normals
+from rpod_target.variation import Variation
 
 FRAME = "frame"
 """Column that distinguishes the rows of a trial."""
@@ -49,7 +52,9 @@ class NavigationCell:
     seconds: float
     """Length of a trial, s."""
     off_mm: float = 0.0
-    """Standard deviation of the places and sizes of the target's parts, mm."""
+    """Standard deviation of what is off, mm."""
+    misbuilt: str = "parts"
+    """What is off: places and sizes of the ``parts``, or each coordinate of the ``surface``."""
     declared: float = 1.0
     """Tolerance that the model declares, over ``off_mm``."""
     world: str = "documented"
@@ -121,9 +126,7 @@ def _frames(
     Frames of a sensor that is beyond its ``range_m`` are left out, since the estimator does not use them.
     """
     scenario = scenario_of(cell.document)
-    target = built(
-        cached_target(scenario.target), World(cad_error_m=1e-3 * cell.off_mm), stream(seed, trial, _BUILT)
-    )
+    target = misbuilt(cell, cached_target(scenario.target), stream(seed, trial, _BUILT))
     sensors = {sensor.name: sensor for sensor in scenario.sensors}
     config = EmulatorConfig(
         target=scenario.target,
@@ -149,6 +152,17 @@ def _frames(
         frame = local[due.sensor].frame(poses, motion.sun_W_m2(time_s), due)
         if frame is not None:
             yield Arrived(time_s, Measurement(due.sensor, frame, sensor.published_mount))
+
+
+def misbuilt(cell: NavigationCell, target: Target, generator: Generator) -> Target:
+    """Return the target that the sensors see."""
+    if cell.misbuilt == "parts":
+        return built(target, World(cad_error_m=1e-3 * cell.off_mm), generator)
+    off = Variation(
+        off=np.sqrt(3.0) * 1e-3 * cell.off_mm, seed=int(generator.integers(2**31))
+    )  # RMS distance
+    (triangles_m,) = off.moved([target.triangles_m])
+    return replace(target, triangles_m=triangles_m, normals=unit_normals(triangles_m))
 
 
 def _time_s(scenario: Scenario, stamp_ns: int) -> float:

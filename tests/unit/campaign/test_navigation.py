@@ -6,6 +6,7 @@ import pytest
 
 from rpod.scenarios import find
 from rpod_campaign.engine.campaign import CellResult
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.navigation import trial
 from rpod_campaign.navigation.campaign import cells
 from rpod_campaign.navigation.options import Options
@@ -102,8 +103,9 @@ def test_a_trial_gives_estimates_that_are_scored():
     assert other[0]["time_s"] != found[0]["time_s"]
 
 
-def test_a_trial_with_parts_that_are_off_has_a_model_that_says_so():
-    (cell,) = cells(options(seconds=2.0, off_mm=(30.0,), declared=(1.0,)))
+@pytest.mark.parametrize("misbuilt", ["parts", "surface"])
+def test_a_trial_with_a_target_that_is_off_has_a_model_that_says_so(misbuilt):
+    (cell,) = cells(options(seconds=2.0, off_mm=(30.0,), misbuilt=(misbuilt,)))
     off, exact = trial.run(cell, 1, 0), trial.run(cells(options(seconds=2.0))[0], 1, 0)
     assert off[-1]["position_error_m"] != exact[-1]["position_error_m"]
     assert off[-1]["nees"] < 40.0
@@ -127,3 +129,11 @@ def test_a_rate_of_cameras_makes_no_more_cells_of_a_scenario_without_one():
 def test_a_wrong_option_is_named(given, named):
     with pytest.raises(ConfigurationError, match=named):
         cells(options(**given))
+
+
+def test_the_surface_of_a_misbuilt_target_is_off_by_the_stated_deviation_in_each_coordinate():
+    target = cached_target("envisat-mesh")
+    cell = NavigationCell(scenario="made-up", target=target.name, seconds=1.0, off_mm=3.0, misbuilt="surface")
+    moved_m = [trial.misbuilt(cell, target, np.random.default_rng(i)).triangles_m for i in range(20)]
+    off_m = np.stack(moved_m) - target.triangles_m
+    assert off_m.std(axis=(0, 1, 2)) == pytest.approx([0.003] * 3, rel=0.25)
