@@ -27,6 +27,7 @@ def cells(options: Options) -> list[NavigationCell]:
             declared=declared,
             world=world,
             rate_hz=rate_hz,
+            draws_mounts=options.draw_mounts,
             document=_document(scenario, target, world, rate_hz),
         )
         for scenario in (_found(options, name) for name in options.scenario)

@@ -33,5 +33,8 @@ class Options(CampaignOptions):
     places have nearly the same error, as tolerance_m of a target's file declares it."""
     declared: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
     """Tolerance that the model declares, over the true one; 1 is right."""
+    draw_mounts: bool = False
+    """Draw the mounts that the sensors state, with the filter's standard deviations of mounts, in each
+    trial."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Scenarios, by name and by path."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 from numpy.random import Generator
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_analysis.scoring.handover import Offset, beyond
 from rpod_campaign.engine.trial.poses import errors, nees_of
@@ -39,8 +39,8 @@ from rpod_target.variation import Variation
 
 FRAME = "frame"
 """Column that distinguishes the rows of a trial."""
-_BEGIN, _BUILT, _NOISE = 31, 32, 33
-"""Streams of random numbers: the beginning, the parts' places and sizes, the sensors' noise."""
+_BEGIN, _BUILT, _NOISE, _MOUNTS = 31, 32, 33, 34
+"""Streams of random numbers: the beginning, errors of the target, the sensors' noise, stated mounts."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,8 @@ class NavigationCell:
     world: str = "documented"
     rate_hz: float | None = None
     """Rate of the cameras, Hz; None for that of the scenario."""
+    draws_mounts: bool = False
+    """Whether the mounts that the sensors state are drawn in each trial."""
     document: str = field(default="", repr=False)
     """JSON of the scenario."""
 
@@ -136,6 +138,7 @@ def _frames(
         seed=int(stream(seed, trial, _NOISE).integers(2**31)),
     )
     local = {name: LocalSensor(config, sensor, target) for name, sensor in sensors.items()}
+    mounts = stated_mounts(cell, scenario, stream(seed, trial, _MOUNTS))
     range_m = {sensor.name: sensor.range_m or (0.0, np.inf) for sensor in scenario.estimator.sensors}
     for step in lockstep_steps(scenario.sensors, epoch_ns=scenario.epoch_ns, duration_s=scenario.duration_s):
         due, sensor = step.frame, sensors[step.frame.sensor]
@@ -151,7 +154,7 @@ def _frames(
             continue
         frame = local[due.sensor].frame(poses, motion.sun_W_m2(time_s), due)
         if frame is not None:
-            yield Arrived(time_s, Measurement(due.sensor, frame, sensor.published_mount))
+            yield Arrived(time_s, Measurement(due.sensor, frame, mounts[due.sensor]))
 
 
 def misbuilt(cell: NavigationCell, target: Target, generator: Generator) -> Target:
@@ -163,6 +166,24 @@ def misbuilt(cell: NavigationCell, target: Target, generator: Generator) -> Targ
     )  # RMS distance
     (triangles_m,) = off.moved([target.triangles_m])
     return replace(target, triangles_m=triangles_m, normals=unit_normals(triangles_m))
+
+
+def stated_mounts(
+    cell: NavigationCell, scenario: Scenario, generator: Generator
+) -> dict[str, RigidTransform]:
+    """Return the mounts, T_chaser_sensor, that the sensors state, by the sensors' names."""
+    if not cell.draws_mounts:
+        return {sensor.name: sensor.published_mount for sensor in scenario.sensors}
+    config = scenario.estimator.filter
+    stated = {}
+    for sensor in scenario.sensors:
+        off_m, turn_deg = generator.standard_normal((2, 3))
+        true = sensor.T_chaser_sensor
+        stated[sensor.name] = RigidTransform.from_components(
+            true.translation + config.mount_sigma_m * off_m,
+            Rotation.from_rotvec(config.mount_sigma_deg * turn_deg, degrees=True) * true.rotation,
+        )
+    return stated
 
 
 def _time_s(scenario: Scenario, stamp_ns: int) -> float:

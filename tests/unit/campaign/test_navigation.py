@@ -1,5 +1,7 @@
 """The campaign of scenarios through the navigator."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -137,3 +139,14 @@ def test_the_surface_of_a_misbuilt_target_is_off_by_the_stated_deviation_in_each
     moved_m = [trial.misbuilt(cell, target, np.random.default_rng(i)).triangles_m for i in range(20)]
     off_m = np.stack(moved_m) - target.triangles_m
     assert off_m.std(axis=(0, 1, 2)) == pytest.approx([0.003] * 3, rel=0.25)
+
+
+def test_stated_mounts_are_drawn_as_the_filter_expects_them():
+    mounts = find("mockup-mounts")
+    cell = replace(CELL, draws_mounts=True)
+    true = mounts.sensors[1].T_chaser_sensor
+    stated = [trial.stated_mounts(cell, mounts, np.random.default_rng(i))["pmd"] for i in range(100)]
+    off_m = np.array([each.translation - true.translation for each in stated])
+    turn_deg = np.degrees([(each.rotation * true.rotation.inv()).magnitude() for each in stated])
+    assert off_m.std() == pytest.approx(0.015, rel=0.15)
+    assert np.sqrt((turn_deg**2).mean() / 3.0) == pytest.approx(0.2, rel=0.15)
