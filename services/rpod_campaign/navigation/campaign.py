@@ -27,13 +27,16 @@ def cells(options: Options) -> list[NavigationCell]:
             declared=declared,
             world=world,
             rate_hz=rate_hz,
-            draws_mounts=options.draw_mounts,
+            mounts=mounts,
+            motion=motion,
             document=_document(scenario, target, world, rate_hz),
         )
         for scenario in (_found(options, name) for name in options.scenario)
         for target in targets(options.target or (scenario.target,))
         for world in options.world
         for rate_hz in _rates(options, scenario)
+        for mounts in options.mounts
+        for motion in options.motion
         for off_mm in options.off_mm
         for misbuilt in (options.misbuilt if off_mm else ("parts",))
         for declared in (options.declared if off_mm else (1.0,))

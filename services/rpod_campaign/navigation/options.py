@@ -33,8 +33,11 @@ class Options(CampaignOptions):
     places have nearly the same error, as tolerance_m of a target's file declares it."""
     declared: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
     """Tolerance that the model declares, over the true one; 1 is right."""
-    draw_mounts: bool = False
-    """Draw the mounts that the sensors state, with the filter's standard deviations of mounts, in each
-    trial."""
+    mounts: Annotated[tuple[Literal["stated", "drawn"], ...], Field(min_length=1)] = ("stated",)
+    """Mounts that the sensors state: those of the scenario, or drawn in each trial with the filter's
+    standard deviations of mounts."""
+    motion: Annotated[tuple[Literal["scenario", "driven"], ...], Field(min_length=1)] = ("scenario",)
+    """Motion of the target: that of the scenario, or the same with white accelerations, whose densities are
+    those of the filter."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Scenarios, by name and by path."""

@@ -151,10 +151,14 @@ def _name(cell: NavigationCell) -> tuple[str, ...]:
     declared = number(cell.declared if cell.off_mm else None)
     what = cell.misbuilt if cell.off_mm else number(None)
     scenario = in_world(cell.scenario, cell.world)
-    return scenario, cell.target, number(cell.rate_hz), f"{cell.off_mm:g}", what, declared
+    off = (f"{cell.off_mm:g}", what, declared)
+    return scenario, cell.target, number(cell.rate_hz), cell.motion, cell.mounts, *off
 
 
-_NAMES = ("scenario", "target", "camera, Hz", "off, mm", "what is off", "declared over true")
+_NAMES = (
+    *("scenario", "target", "camera, Hz", "motion", "mounts"),
+    *("off, mm", "what is off", "declared over true"),
+)
 
 
 def _table(results: Results) -> Table:

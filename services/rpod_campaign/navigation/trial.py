@@ -18,6 +18,7 @@ from rpod_analysis.scoring.handover import Offset, beyond
 from rpod_campaign.engine.trial.poses import errors, nees_of
 from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
+from rpod_campaign.navigation.driven_motion import DrivenMotion
 from rpod_campaign.pmd.scene import motion_of, scenario_of
 from rpod_campaign.pmd.world import World, built
 from rpod_campaign.sequences.judged import Arrived, judged
@@ -39,8 +40,9 @@ from rpod_target.variation import Variation
 
 FRAME = "frame"
 """Column that distinguishes the rows of a trial."""
-_BEGIN, _BUILT, _NOISE, _MOUNTS = 31, 32, 33, 34
-"""Streams of random numbers: the beginning, errors of the target, the sensors' noise, stated mounts."""
+_BEGIN, _BUILT, _NOISE, _MOUNTS, _DRIVEN = range(31, 36)
+"""Streams of random numbers: the beginning, errors of the target, the sensors' noise, stated mounts,
+accelerations."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,10 @@ class NavigationCell:
     world: str = "documented"
     rate_hz: float | None = None
     """Rate of the cameras, Hz; None for that of the scenario."""
-    draws_mounts: bool = False
-    """Whether the mounts that the sensors state are drawn in each trial."""
+    mounts: str = "stated"
+    """Mounts that the sensors state: those of the scenario, as ``stated``, or ``drawn`` in each trial."""
+    motion: str = "scenario"
+    """Motion of the ``scenario``, or ``driven`` by white accelerations of the filter's densities as well."""
     document: str = field(default="", repr=False)
     """JSON of the scenario."""
 
@@ -89,8 +93,9 @@ SCHEMA: dict[str, Any] = {
 def run(cell: NavigationCell, seed: int, trial: int) -> list[dict[str, Any]]:
     """Return a row for each frame of the trial."""
     scenario, (settings, methods, model) = scenario_of(cell.document), _estimator(cell)
-    target, motion = cached_target(scenario.target), _motion_of(cell.document)
+    target = cached_target(scenario.target)
     begin_s = float(stream(seed, trial, _BEGIN).uniform(0.0, max(0.0, scenario.duration_s - cell.seconds)))
+    motion = _moved(cell, scenario, target, begin_s, stream(seed, trial, _DRIVEN))
     told = judged(
         settings,
         methods,
@@ -120,8 +125,20 @@ def run(cell: NavigationCell, seed: int, trial: int) -> list[dict[str, Any]]:
     return rows
 
 
+def _moved(
+    cell: NavigationCell, scenario: Scenario, target: Target, begin_s: float, generator: Generator
+) -> Motion | DrivenMotion:
+    """Return the motion of the target."""
+    motion = _motion_of(cell.document)
+    if cell.motion == "scenario":
+        return motion
+    config, centre_m = scenario.settings.filter, target.centre_of_mass_m
+    last_s = cell.seconds + max(1.0 / sensor.rate_hz for sensor in scenario.sensors)
+    return DrivenMotion.drawn(motion, config, centre_m, generator, begin_s=begin_s, seconds=last_s)
+
+
 def _frames(
-    cell: NavigationCell, motion: Motion, begin_s: float, *, seed: int, trial: int
+    cell: NavigationCell, motion: Motion | DrivenMotion, begin_s: float, *, seed: int, trial: int
 ) -> Iterator[Arrived]:
     """Yield the measurements of a trial, with their times in the scenario, in the order of lockstep.
 
@@ -172,7 +189,7 @@ def stated_mounts(
     cell: NavigationCell, scenario: Scenario, generator: Generator
 ) -> dict[str, RigidTransform]:
     """Return the mounts, T_chaser_sensor, that the sensors state, by the sensors' names."""
-    if not cell.draws_mounts:
+    if cell.mounts == "stated":
         return {sensor.name: sensor.published_mount for sensor in scenario.sensors}
     config = scenario.estimator.filter
     stated = {}

@@ -11,9 +11,11 @@ from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.navigation import trial
 from rpod_campaign.navigation.campaign import cells
+from rpod_campaign.navigation.driven_motion import DrivenMotion
 from rpod_campaign.navigation.options import Options
 from rpod_campaign.navigation.report import over_trials, sections, summarise
 from rpod_campaign.navigation.trial import SCHEMA, NavigationCell
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.motion import JointMotionConfig
 from rpod_schemas.errors import ConfigurationError
 
@@ -143,10 +145,26 @@ def test_the_surface_of_a_misbuilt_target_is_off_by_the_stated_deviation_in_each
 
 def test_stated_mounts_are_drawn_as_the_filter_expects_them():
     mounts = find("mockup-mounts")
-    cell = replace(CELL, draws_mounts=True)
+    cell = replace(CELL, mounts="drawn")
     true = mounts.sensors[1].T_chaser_sensor
     stated = [trial.stated_mounts(cell, mounts, np.random.default_rng(i))["pmd"] for i in range(100)]
     off_m = np.array([each.translation - true.translation for each in stated])
     turn_deg = np.degrees([(each.rotation * true.rotation.inv()).magnitude() for each in stated])
     assert off_m.std() == pytest.approx(0.015, rel=0.15)
     assert np.sqrt((turn_deg**2).mean() / 3.0) == pytest.approx(0.2, rel=0.15)
+
+
+def test_a_driven_motion_accelerates_as_the_filter_states():
+    config, calm = FilterConfig(), trial.motion_of(STATION)
+    given = {"begin_s": 1.0, "seconds": 2.0}
+    ends = []
+    for seed in range(60):
+        driven = DrivenMotion.drawn(calm, config, np.zeros(3), np.random.default_rng(seed), **given)
+        assert np.allclose(
+            driven.state(1.0).T_chaser_target.as_matrix(), calm.state(1.0).T_chaser_target.as_matrix()
+        )
+        true, moved = (each.state(3.0).T_chaser_target for each in (calm, driven))
+        turn = (moved.rotation * true.rotation.inv()).as_rotvec()
+        ends.append([moved.translation - true.translation, turn])
+    densities = config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3
+    assert np.square(ends).mean(axis=(0, 2)) == pytest.approx(np.array(densities) * 2.0**3 / 3.0, rel=0.25)
