@@ -34,6 +34,13 @@ from rpod_target.population import POPULATIONS, satellite_of
 
 SCENARIOS = {name: find(name) for name in shipped()}
 LIDAR = PopulationCell("hexagonal-body", "lidar", "acquisition", (30.0, 500.0))
+CAMERA = PopulationCell("hexagonal-body", "pmd", "acquisition", (0.2, 0.8))
+PROMISED = {
+    "body", "size_m", "triangles", "range_m", "returns", "trials", "success_rate", "ambiguous_rate",
+    "wrong_accepted", "right_rejected", "attitude_deg_rms", "position_m_rms", "nees_mean",
+    "nees_share_in_95", "median_s",
+}  # fmt: skip
+"""Keys of each cell of ``population --json``."""
 TURNED = Rotation.from_euler("z", 90.0, degrees=True)
 
 
@@ -200,7 +207,9 @@ def test_the_command_prints_totals_beside_the_cells(tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     (cell,), totals_ = printed["cells"], printed["totals"]
     assert (cell["body"], cell["trials"], cell["sensor"]) == ("hexagonal-body", 1, "lidar")
+    assert set(cell) >= PROMISED
     assert totals_["all"]["trials"] == 1
+    assert {"wilson_low", "wilson_high"} <= set(totals_["all"]["wrong_accepted"])
     assert totals_["returns_6_to_60"]["success"]["rate"] is None
 
 
@@ -230,6 +239,7 @@ def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apar
     ]
     frame = pl.DataFrame(answers, schema=population.SCHEMA)
     s = summarise(LIDAR, frame)
+    assert set(summarise(CAMERA, frame)) >= PROMISED
     assert (s["trials"], s["few_pixels"], s["ambiguous"]) == (5, 1, 2)
     assert s["success_rate"] == pytest.approx(3 / 5)
     assert (s["wrong_accepted"], s["right_rejected"]) == (1, 1)
