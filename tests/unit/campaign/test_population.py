@@ -73,6 +73,7 @@ def test_a_window_holds_the_target_at_every_range_and_no_surface_is_near(name):
     assert window.nearest_m - radius_m >= 2.0
     assert math.degrees(math.asin(radius_m / window.nearest_m)) <= window.span_deg / 2.0 + 1e-6
     assert window.range_m(1e9) == window.nearest_m
+    assert window_of(name, 60.0) == window
     assert window.config().pattern.step_deg == window.step_deg
 
 
@@ -83,11 +84,13 @@ def test_the_silhouette_of_a_convex_body_is_a_quarter_of_its_surface():
     assert silhouette_m2(target, 0.7) == pytest.approx(area_m2 / 4.0, rel=0.08)
 
 
-@pytest.mark.parametrize("wanted", [40.0, 250.0])
-def test_the_range_of_a_scan_follows_from_the_wanted_returns(wanted):
-    emulator = emulator_of("envisat-bulky", window_of("envisat-bulky").config(), 7)
+@pytest.mark.parametrize(("wanted", "greatest"), [(40.0, 500.0), (250.0, 500.0), (3000.0, 10000.0)])
+def test_the_range_of_a_scan_follows_from_the_wanted_returns(wanted, greatest):
+    emulator = emulator_of("envisat-bulky", window_of("envisat-bulky", greatest).config(), 7)
     attitude = Rotation.from_euler("xyz", (20.0, 30.0, 40.0), degrees=True)
-    pose, scan = scan_with_returns(emulator, "envisat-bulky", attitude, returns=wanted, trial=0)
+    pose, scan = scan_with_returns(
+        emulator, "envisat-bulky", attitude, returns=wanted, trial=0, greatest=greatest
+    )
     assert len(scan.returns_m) == pytest.approx(wanted, rel=0.12)
     assert np.allclose(pose.apply(middle_m(cached_target("envisat-bulky")))[:2], 0.0)
 
