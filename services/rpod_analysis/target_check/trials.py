@@ -3,7 +3,6 @@
 A few frames say whether a method can use the target at all; campaigns measure how well.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -11,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_analysis.target_check.clocks import Clocks, clocks
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_pose.methods import kind_methods
@@ -119,16 +119,19 @@ def try_methods(
         kinds: kinds of sensors; by default all that are installed.
     """
     kinds = sensor_kinds() if kinds is None else kinds
-    until_s = np.inf if trials else time.process_time() + _LONGEST_S
     found: list[MethodFacts] = []
-    for number, kind in enumerate(kinds):
-        now_s = time.process_time()
-        share_s = (until_s - now_s) / (len(kinds) - number)
-        found += _try_kind(kind, target, trials or TRIALS, until_s=now_s + share_s)
+    with clocks() as clock:
+        until_s = np.inf if trials else clock.now().processor_s + _LONGEST_S
+        for number, kind in enumerate(kinds):
+            now_s = clock.now().processor_s
+            share_s = (until_s - now_s) / (len(kinds) - number)
+            found += _try_kind(kind, target, trials or TRIALS, until_s=now_s + share_s, clock=clock)
     return tuple(found)
 
 
-def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -> list[MethodFacts]:
+def _try_kind(
+    kind: SensorKind, target: Target, count: int, *, until_s: float, clock: Clocks
+) -> list[MethodFacts]:
     """Return the results of a kind's methods on a target: its default methods first, then the others."""
     emulated = EmulatedKind(kind, target, seed=_SEED)
     seen = [
@@ -139,12 +142,12 @@ def _try_kind(kind: SensorKind, target: Target, count: int, *, until_s: float) -
     tried = _prepared_methods(emulated, target)
     for one in (each for each in tried if each.default and each.made is not None):
         for number, (condition, frame) in enumerate(seen):
-            if number < len(names) or time.process_time() < until_s:
-                one.trials.append(_tried(one, frame, condition, target))
+            if number < len(names) or clock.now().processor_s < until_s:
+                one.trials.append(_tried(one, frame, condition, target, clock))
     for condition, frame in seen[: -(-count // _OTHERS)]:
         for one in (each for each in tried if not each.default and each.made is not None):
-            if time.process_time() < until_s:
-                one.trials.append(_tried(one, frame, condition, target))
+            if clock.now().processor_s < until_s:
+                one.trials.append(_tried(one, frame, condition, target, clock))
             elif not one.trials:
                 one.reason = "not tried: the other methods took the time; ask for more with --trials"
     return [_facts(one, names) for one in tried]
@@ -176,13 +179,15 @@ def _prepared(one: Method, task: Task) -> Any:
     return made.tracker if one.role == "tracking" else made.acquirer
 
 
-def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target: Target) -> _Trial:
+def _tried(
+    one: _Tried, frame: SensorFrame | None, condition: Condition, target: Target, clock: Clocks
+) -> _Trial:
     truth = condition.T_sensor_target
     range_m = float(np.linalg.norm(truth.translation))
     if frame is None:
         text = "the sensor measures nothing"
         return _Trial(condition.name, range_m, "unseen", False, None, None, text, 0.0)
-    begin_s = time.perf_counter()
+    begin_s = clock.now().wall_s
     try:
         if one.method.role == "tracking":
             answer = Acquisition(one.made.track(frame, condition.predicted))
@@ -193,7 +198,7 @@ def _tried(one: _Tried, frame: SensorFrame | None, condition: Condition, target:
     except Exception as error:  # noqa: BLE001 - a method must not raise on data; one that does is told
         text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
         return _Trial(condition.name, range_m, "refused", False, None, None, text, 0.0)
-    took_s = time.perf_counter() - begin_s
+    took_s = clock.now().wall_s - begin_s
     attitude_deg, position_m = _error(answer.pose, truth, target)
     right = _is_right(attitude_deg, position_m, target)
     listed = [_error(each.pose, truth, target) for each in answer.hypotheses]

@@ -26,8 +26,9 @@ ELLIPSE_M, ELLIPSE_RETURNS = (25.0, 53.0), 120.0
 """Least and greatest range of the safety ellipse for a shipped target, m; for another one, mean number of
 returns at the least range."""
 _STEPS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
-_TYPICAL = 200.0
-"""Number of returns that the chosen step gives at the nearest range or beyond."""
+_TYPICAL = 0.4
+"""Number of returns that the chosen step gives at the nearest range or beyond, over the greatest one that is
+wanted."""
 _VIEWS, _PIXELS = 12, 64
 """Number of attitudes, and of pixels along each side of an image, that measure a silhouette."""
 _ATTITUDES = 8
@@ -59,14 +60,20 @@ class Window:
 
 
 @lru_cache(maxsize=64)
-def window_of(name: str) -> Window:
-    """Return the window for a target: the paper's step of 1 deg, or a finer one for enough returns."""
+def window_of(name: str, greatest: float = RETURNS[1]) -> Window:
+    """Return the window for a target: the paper's step of 1 deg, or a finer one for enough returns.
+
+    Args:
+        name: name of the target.
+        greatest: greatest number of returns that is wanted; below that of ``RETURNS`` it changes nothing.
+    """
     target = cached_target(name)
     corners_m = target.triangles_m.reshape(-1, 3)
     radius_m = float(np.linalg.norm(corners_m - middle_m(target), axis=1).max())
     nearest_m = max(2.0 * radius_m, radius_m + CLEARANCE_M)
     area_m2 = silhouette_m2(target, radius_m)
-    wanted_deg = degrees(sqrt(area_m2 / _TYPICAL) / nearest_m)
+    typical = _TYPICAL * max(greatest, RETURNS[1])
+    wanted_deg = degrees(sqrt(area_m2 / typical) / nearest_m)
     step_deg = next((step for step in _STEPS_DEG if step <= wanted_deg), _STEPS_DEG[-1])
     span_deg = step_deg * 2 * ceil(degrees(asin(radius_m / nearest_m)) / step_deg)
     return Window(step_deg, span_deg, nearest_m, area_m2)
@@ -99,13 +106,14 @@ def scan_with_returns(
     *,
     returns: float,
     trial: int,
+    greatest: float = RETURNS[1],
 ) -> tuple[RigidTransform, LidarScan]:
     """Return a pose on the boresight and its scan, with about the wanted returns if the window allows it.
 
     The range is corrected by the number of returns there, since inclined or dark surfaces return few rays
-    from afar.
+    from afar. The emulator has the window of the greatest number of returns.
     """
-    window, loaded = window_of(target), cached_target(target)
+    window, loaded = window_of(target, greatest), cached_target(target)
 
     def taken(range_m: float) -> tuple[RigidTransform, LidarScan]:
         pose = with_middle_at(R_sensor_target, np.array((0.0, 0.0, range_m)), loaded)

@@ -140,5 +140,5 @@ def _turned(truth: RigidTransform, R_sensor_target: Rotation, target: Target) ->
 def _others_methods(cell: LimitsCell) -> Methods:
     """Return the methods that look for the other satellite."""
     if cell.sensor == "lidar":
-        return lidar_methods(cell.target, cell.other_target)
+        return lidar_methods(cell.target, cell.other_target, cell.wanted[1])
     return pmd_methods(cell.other_target)

@@ -20,7 +20,7 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.surroundings import SurroundingsName, surroundings
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.methods import pattern_of
-from rpod_campaign.lidar.returns import returns_on, scan_with_returns, window_of
+from rpod_campaign.lidar.returns import RETURNS, returns_on, scan_with_returns, window_of
 from rpod_campaign.lidar.scene import emulator_of, scan_of
 from rpod_campaign.pmd.framing import LEAST_PIXELS, framed, lit, range_filling, reaching
 from rpod_campaign.pmd.methods import DEFAULT, pmd_input
@@ -216,10 +216,12 @@ def _scanned(cell: PopulationCell, seed: int, trial: int) -> tuple[Methods, Take
     attitude = Rotation.random(rng=generator)
     least, greatest = cell.wanted
     returns = exp(generator.uniform(log(least), log(greatest)))
-    truth, scan = scan_with_returns(emulator, cell.target, attitude, returns=returns, trial=trial)
+    truth, scan = scan_with_returns(
+        emulator, cell.target, attitude, returns=returns, trial=trial, greatest=greatest
+    )
     alone = returns_on(cached_target(cell.target), truth, scan)
     if things := _things(cell, T_sensor_target=truth):
-        config = window_of(cell.target).config()
+        config = window_of(cell.target, greatest).config()
         among = emulator_of(cell.target, config, seed, world=cell.world, things=things)
         scan = scan_of(among, truth, trial=trial)
     return methods, Taken(truth, scan, alone, seen=True)
@@ -250,9 +252,9 @@ def _things(cell: PopulationCell, *, T_sensor_target: RigidTransform) -> tuple[T
 
 @lru_cache(maxsize=4)
 def _lidar_bench(cell: PopulationCell, seed: int) -> tuple[LidarEmulator, Methods]:
-    lidar = window_of(cell.target).config()
+    lidar = window_of(cell.target, cell.wanted[1]).config()
     emulator = emulator_of(cell.target, lidar, seed, world=cell.world)
-    return emulator, lidar_methods(cell.target, cell.model or cell.target)
+    return emulator, lidar_methods(cell.target, cell.model or cell.target, cell.wanted[1])
 
 
 @lru_cache(maxsize=4)
@@ -264,9 +266,13 @@ def _pmd_bench(cell: PopulationCell) -> tuple[Scenario, Methods]:
 
 
 @lru_cache(maxsize=4)
-def lidar_methods(target: str, model: str) -> Methods:
-    """Return the default methods that look for a model in the scans of a target."""
-    return ready_methods(LidarInput(), cached_target(model), pattern_of(window_of(target).config()))
+def lidar_methods(target: str, model: str, greatest: float = RETURNS[1]) -> Methods:
+    """Return the default methods that look for a model in the scans of a target.
+
+    ``greatest`` is the greatest number of returns, from which the pattern follows.
+    """
+    pattern = pattern_of(window_of(target, greatest).config())
+    return ready_methods(LidarInput(), cached_target(model), pattern)
 
 
 @lru_cache(maxsize=4)

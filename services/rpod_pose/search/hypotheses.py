@@ -83,8 +83,9 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
         reason = f"{alike} poses cannot be distinguished because of the target's symmetry"
         return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=tuple(exact))
     first = next(rival for rival in found if not rival.exact)
+    own = " with its symmetries" if exact else ""
     reason = (
-        f"{len(found) + 1} poses explain the measurement: the best has weight {weights[0]:.2f} "
+        f"{len(found) + 1} poses explain the measurement: the best{own} has weight {alike * weights[0]:.2f} "
         f"({least:g} needed), the next is {first.name}"
     )
     return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=found)

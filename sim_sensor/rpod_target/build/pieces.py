@@ -287,5 +287,9 @@ def outward(piece: Piece, sky: Sky, *, nudge_m: float) -> tuple[Piece, Sides]:
             f"{np.count_nonzero(turn)} triangles of open surfaces were turned to their visible side",
         )
     if back.any():
-        told = (*told, f"{np.count_nonzero(back)} triangles of open surfaces are seen from both sides")
+        told = (
+            *told,
+            f"{np.count_nonzero(back)} triangles of open surfaces are seen from both sides: the second sides "
+            "are parts whose names end with -back",
+        )
     return replace(piece, triangles_m=triangles_m, told=told), Sides(seen, back)

@@ -179,6 +179,10 @@ def test_the_summary_is_what_the_command_prints(followed):
         "median_s",
         "p95_s",
         "lost",
+        "success_rate",
+        "trials",
+        "wrong_accepted",
+        "ambiguous",
     } <= set(summary)
     assert set(summary["rms"]) == {"roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"}
     assert summary["frames"] == 4

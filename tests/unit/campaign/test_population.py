@@ -34,6 +34,13 @@ from rpod_target.population import POPULATIONS, satellite_of
 
 SCENARIOS = {name: find(name) for name in shipped()}
 LIDAR = PopulationCell("hexagonal-body", "lidar", "acquisition", (30.0, 500.0))
+CAMERA = PopulationCell("hexagonal-body", "pmd", "acquisition", (0.2, 0.8))
+PROMISED = {
+    "body", "size_m", "triangles", "range_m", "returns", "trials", "success_rate", "ambiguous_rate",
+    "wrong_accepted", "right_rejected", "attitude_deg_rms", "position_m_rms", "nees_mean",
+    "nees_share_in_95", "median_s",
+}  # fmt: skip
+"""Keys of each cell of ``population --json``."""
 TURNED = Rotation.from_euler("z", 90.0, degrees=True)
 
 
@@ -66,6 +73,7 @@ def test_a_window_holds_the_target_at_every_range_and_no_surface_is_near(name):
     assert window.nearest_m - radius_m >= 2.0
     assert math.degrees(math.asin(radius_m / window.nearest_m)) <= window.span_deg / 2.0 + 1e-6
     assert window.range_m(1e9) == window.nearest_m
+    assert window_of(name, 60.0) == window
     assert window.config().pattern.step_deg == window.step_deg
 
 
@@ -76,11 +84,13 @@ def test_the_silhouette_of_a_convex_body_is_a_quarter_of_its_surface():
     assert silhouette_m2(target, 0.7) == pytest.approx(area_m2 / 4.0, rel=0.08)
 
 
-@pytest.mark.parametrize("wanted", [40.0, 250.0])
-def test_the_range_of_a_scan_follows_from_the_wanted_returns(wanted):
-    emulator = emulator_of("envisat-bulky", window_of("envisat-bulky").config(), 7)
+@pytest.mark.parametrize(("wanted", "greatest"), [(40.0, 500.0), (250.0, 500.0), (3000.0, 10000.0)])
+def test_the_range_of_a_scan_follows_from_the_wanted_returns(wanted, greatest):
+    emulator = emulator_of("envisat-bulky", window_of("envisat-bulky", greatest).config(), 7)
     attitude = Rotation.from_euler("xyz", (20.0, 30.0, 40.0), degrees=True)
-    pose, scan = scan_with_returns(emulator, "envisat-bulky", attitude, returns=wanted, trial=0)
+    pose, scan = scan_with_returns(
+        emulator, "envisat-bulky", attitude, returns=wanted, trial=0, greatest=greatest
+    )
     assert len(scan.returns_m) == pytest.approx(wanted, rel=0.12)
     assert np.allclose(pose.apply(middle_m(cached_target("envisat-bulky")))[:2], 0.0)
 
@@ -200,7 +210,9 @@ def test_the_command_prints_totals_beside_the_cells(tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     (cell,), totals_ = printed["cells"], printed["totals"]
     assert (cell["body"], cell["trials"], cell["sensor"]) == ("hexagonal-body", 1, "lidar")
+    assert set(cell) >= PROMISED
     assert totals_["all"]["trials"] == 1
+    assert {"wilson_low", "wilson_high"} <= set(totals_["all"]["wrong_accepted"])
     assert totals_["returns_6_to_60"]["success"]["rate"] is None
 
 
@@ -230,6 +242,7 @@ def test_shares_are_over_frames_that_show_enough_and_the_others_are_counted_apar
     ]
     frame = pl.DataFrame(answers, schema=population.SCHEMA)
     s = summarise(LIDAR, frame)
+    assert set(summarise(CAMERA, frame)) >= PROMISED
     assert (s["trials"], s["few_pixels"], s["ambiguous"]) == (5, 1, 2)
     assert s["success_rate"] == pytest.approx(3 / 5)
     assert (s["wrong_accepted"], s["right_rejected"]) == (1, 1)

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.belief import SYMMETRY, Belief, Record, Rival, contradicted, doubtful, undetermined
 from rpod_pose.ports import Acquisition, Outcome, Registration
+from rpod_pose.search.hypotheses import belief_with_rivals
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import BeliefLevel, Source
@@ -140,3 +141,11 @@ def test_a_record_forgets_and_assumes_at_first_that_frames_agree(against):
     for _ in range(300):
         record = record.after(Belief())
     assert record.share < 0.05
+
+
+def test_the_weight_in_a_reason_is_the_one_that_is_compared_with_the_limit():
+    pose = make_pose()
+    twins = (Rival(SYMMETRY, pose, 0.0), *(Rival("turned by 180 deg", pose, -2.0) for _ in range(2)))
+    reason = belief_with_rivals(twins, Belief(BeliefLevel.ACCEPTED), least=0.95).reason
+    weight = 2.0 / (2.0 + 2.0 * np.exp(-2.0))
+    assert f"the best with its symmetries has weight {weight:.2f} (0.95 needed)" in reason

@@ -13,8 +13,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import gammainc, gammaincinv
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
-from rpod_pose.navigation.filter.rotations import left_jacobian, symmetric
-from rpod_pose.navigation.filter.state import ATTITUDE, MOTION, POSE, FilterState, with_free_axes_unobserved
+from rpod_pose.navigation.filter.rotations import cross_matrix, left_jacobian, symmetric
+from rpod_pose.navigation.filter.state import (
+    ATTITUDE,
+    MOTION,
+    POSE,
+    POSITION,
+    FilterState,
+    with_free_axes_unobserved,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import rotation_matrix, rotation_of
@@ -71,8 +78,9 @@ def innovation_of(
     since_s: float = inf,
 ) -> Innovation:
     """Return the innovation of a measured pose at the state's stamp; arguments as for ``update``."""
-    noise = covariance if white else measurement_noise(covariance, config, since_s)
     R = rotation_matrix(T_chaser_target)
+    arm_m = R @ state.centre_of_mass_m
+    noise = covariance if white else measurement_noise(covariance, config, arm_m, since_s)
     # no innovation is left about a free axis; any variance keeps the matrix regular and leaves the gain at 0
     noise = state.alike.with_free_variance(noise, R, 1.0)
     difference = pose_difference(T_chaser_target, state.T_chaser_target, state.alike)
@@ -199,10 +207,26 @@ def gate_of(config: FilterConfig, dof: int) -> float:
     return _gate(config.tuning.gate_nis, dof)
 
 
-def measurement_noise(covariance: FloatArray, config: FilterConfig, since_s: float = inf) -> FloatArray:
-    """Return the covariance of a measured pose after floors and inflation, shape (6, 6)."""
-    floor = np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3)
-    return config.inflation(since_s) * (covariance + np.diag(floor))
+def measurement_noise(
+    covariance: FloatArray, config: FilterConfig, arm_m: FloatArray, since_s: float = inf
+) -> FloatArray:
+    """Return the covariance of a measured pose after floors and inflation, shape (6, 6).
+
+    The floors hold at the centre of mass. A floor of the attitude turns the target about it, and moves the
+    origin. So estimates do not depend on where a file has its origin, and an acceleration of the centre is
+    not taken for a turn about the origin.
+
+    Args:
+        covariance: covariance of the measured (dp, dtheta), shape (6, 6).
+        config: floors and inflation.
+        arm_m: from the target's origin to its centre of mass, chaser axes, m, shape (3,).
+        since_s: time since the sensor's previous frame, s.
+    """
+    floor = np.diag(np.repeat([config.position_floor_m**2, np.deg2rad(config.attitude_floor_deg) ** 2], 3))
+    from_centre = np.eye(6)
+    from_centre[POSITION, ATTITUDE] = cross_matrix(arm_m)
+    added: FloatArray = from_centre @ floor @ from_centre.T
+    return config.inflation(since_s) * (covariance + added)
 
 
 def observable(sensitivity: FloatArray, R: FloatArray, alike: Equivalence) -> FloatArray:

@@ -62,12 +62,12 @@ def start(
         centre_m = alike.free_axes[0] * (alike.free_axes[0] @ centre_m)
     elif len(alike.free_axes):
         centre_m = np.zeros(3)
+    R = rotation_matrix(T_chaser_target)
     covariance = block_diag(
-        covariance if white else measurement_noise(covariance, config),
+        covariance if white else measurement_noise(covariance, config, R @ centre_m),
         config.initial_velocity_sigma_m_s**2 * np.eye(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
     )
-    R = rotation_matrix(T_chaser_target)
     if blocks:
         observable_by = {name: observable(by, R, alike) for name, by in sensitivities.items()}
         covariance = _with_blocks(covariance, blocks, observable_by, of_blocks)

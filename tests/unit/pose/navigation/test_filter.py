@@ -235,6 +235,31 @@ def test_floor_and_inflation_keep_the_filter_from_believing_too_much() -> None:
     np.testing.assert_allclose(sigma[:6], np.sqrt(2.0) * np.repeat([0.002, np.deg2rad(0.15)], 3))
 
 
+def test_an_estimate_does_not_depend_on_where_the_file_has_its_origin() -> None:
+    config, scale = FilterConfig(), np.diag([0.01, 0.02, 0.01, 2e-4, 1e-4, 3e-4]) ** 2
+    accelerated = [
+        turned(np.full(3, 0.1 * s), np.array([0.0, 0.02, 0.03]) * s**2, make_pose()) for s in range(4)
+    ]
+    places = []
+    for centre_m in (ORIGIN, CENTRE_M):
+        state = None
+        for number, centre in enumerate(accelerated):
+            arm_m = rotation_of(centre).apply(centre_m)
+            pose = turned(np.zeros(3), -arm_m, centre)
+            from_centre = np.eye(6)
+            from_centre[:3, 3:] = np.cross(np.eye(3), arm_m)
+            covariance = from_centre @ scale @ from_centre.T
+            if state is None:
+                state = start(pose, covariance, 0, config=config, centre_of_mass_m=centre_m)
+                continue
+            state = predict(state, number * SECOND_NS, config)
+            state = update(state, pose, covariance, config=config).state
+        places.append((state.T_chaser_target.rotation, state.T_chaser_target.apply(centre_m)))
+    (turn, place_m), (other_turn, other_place_m) = places
+    assert np.rad2deg((turn * other_turn.inv()).magnitude()) < 0.005
+    np.testing.assert_allclose(place_m, other_place_m, atol=1e-3)
+
+
 def test_the_covariance_stays_symmetric_and_positive_definite() -> None:
     rng, config = np.random.default_rng(11), FilterConfig()
     truth = random_truth(rng, config)
