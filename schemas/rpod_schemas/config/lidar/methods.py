@@ -53,9 +53,9 @@ class ScanComparisonConfig(Config):
     """Angle around a ray within which all predictions must agree with its own, deg; else, as at outlines, the
     ray is not compared."""
     sure_range_m: Positive = 180.0
-    """Of the sensor: range up to which a white surface at normal incidence is surely detected, m. A predicted echo that is
-    weaker than the one from there may be missing. With the printed reading of the detection threshold it is
-    150 m."""
+    """Range up to which the sensor surely detects a white surface at normal incidence, m. A predicted echo
+    that is weaker than the one from there may be missing. With the printed reading of the detection threshold
+    it is 150 m."""
 
 
 class IcpNearestNeighbourConfig(MethodConfig):

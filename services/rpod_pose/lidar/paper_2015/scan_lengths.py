@@ -11,7 +11,7 @@ from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, ScanCom
 from rpod_target import Target
 
 OUTLIER = 4.0
-"""Error of an outlier, in standard deviations of a range. Paper: Opromolla et al. 2015, Table 1, multipath."""
+"""Error of an outlier, in standard deviations of a range. Paper: Opromolla et al. 2015, Table 1."""
 GATE, AGREEING = 3.0, 2.5
 """Distance within which a return is no outlier, and difference of ranges that agree, in such errors. Physics:
 one in 370 normal errors is larger, and one in 80."""
