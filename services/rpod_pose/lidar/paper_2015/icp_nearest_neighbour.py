@@ -190,7 +190,7 @@ class NearestNeighbourIcp:
             covariance=self._covariance(matches, T),
             iterations=progress.steps,
         )
-        return accepted_by_residuals(registration, config.acceptance)
+        return accepted_by_residuals(registration, config.acceptance, max_cost_m2=self._lengths.max_cost_m2)
 
     def _match(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, nearest: NDArray[np.int32]

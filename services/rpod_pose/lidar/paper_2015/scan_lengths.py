@@ -20,9 +20,14 @@ SETTLED = 0.004
 scan can show."""
 
 
+MOST_COST = 4.8
+"""Largest mean squared residual, in variances of a range. Paper: Opromolla et al. 2015, section 4.5: f_MAX
+is 0.003 m2."""
+
+
 @dataclass(frozen=True)
 class ScanLengths:
-    """The lengths in use, m: the configured ones, or those that follow."""
+    """The lengths in use, m, and a limit of squares, m2: the configured ones, or those that follow."""
 
     sigma_range_m: float
     """Standard deviation of a range."""
@@ -32,6 +37,8 @@ class ScanLengths:
     """Motion of the surface in one step below which the iterations end."""
     unobserved_m: float
     """Standard deviation of a position that no face determines."""
+    max_cost_m2: float
+    """Largest mean squared residual of the inliers, f_MAX, if the limits leave it out."""
 
     @classmethod
     def of(cls, config: IcpNearestNeighbourConfig, target: Target, pattern: ScanPattern) -> "ScanLengths":
@@ -42,6 +49,7 @@ class ScanLengths:
             gate_m=config.gate_m or GATE * OUTLIER * sigma_m,
             step_m=config.step_m or SETTLED * sigma_m,
             unobserved_m=config.unobserved_m or target.radius_m,
+            max_cost_m2=MOST_COST * pattern.assumed_sigma_m**2,
         )
 
 
