@@ -36,7 +36,6 @@ from rpod_schemas.config.emulator import (
     SensorConfig,
 )
 from rpod_schemas.config.estimator import EstimatorConfig, LidarInput, PmdInput
-from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.lidar import LidarConfig, ScanPatternConfig
 from rpod_schemas.config.motion import FACING, MotionConfig
 from rpod_schemas.config.pmd import PmdConfig
@@ -146,7 +145,6 @@ class Bench:
                 zenoh_id=uuid4().hex.lstrip("0"),
                 sensors=inputs,
                 time_source="clock",
-                filter=FilterConfig(initial_velocity_sigma_m_s=2.0),  # it approaches at 5 m/s
                 **estimator,
             ),
             EmulatorConfig(**shared, sensors=sensors, seed=seed, await_start=True, time_source="clock"),

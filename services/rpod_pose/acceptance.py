@@ -15,28 +15,36 @@ from rpod_pose.ports import Registration
 from rpod_schemas.config.acceptance import AcceptanceConfig
 
 
-def accepted_by_residuals(registration: Registration, limits: AcceptanceConfig) -> Registration:
+def accepted_by_residuals(
+    registration: Registration, limits: AcceptanceConfig, *, max_cost_m2: float = math.inf
+) -> Registration:
     """Return a registration with the belief that follows from cost, inliers and self-check.
 
     A registration without a pose is returned unchanged. A share that is NaN, because the method does not
     know it, is not checked.
+
+    Args:
+        registration: the registration.
+        limits: limits of cost, inliers and self-check.
+        max_cost_m2: largest cost, m2, if the limits leave it out.
     """
+    most_m2 = max_cost_m2 if limits.max_cost_m2 is None else limits.max_cost_m2
     if registration.T_sensor_target is None:
         return registration
     if registration.inliers < limits.min_inliers:
         reason = f"{registration.inliers} inliers, {limits.min_inliers} needed"
         return replace(registration, T_sensor_target=None, belief=doubtful(reason))
-    return replace(registration, belief=_belief(registration, limits))
+    return replace(registration, belief=_belief(registration, limits, most_m2))
 
 
-def _belief(registration: Registration, limits: AcceptanceConfig) -> Belief:
+def _belief(registration: Registration, limits: AcceptanceConfig, max_cost_m2: float) -> Belief:
     cost, inliers = registration.cost_m2, registration.inliers
     share, explained = registration.inlier_share, registration.explained_share
     evidence = {"cost_m2": cost, "inliers": inliers, "inlier_share": share, "explained_share": explained}
     if not np.isfinite(registration.covariance).all():
         return contradicted("no covariance", **evidence)
-    if not cost <= limits.max_cost_m2:
-        return contradicted(f"cost {cost:.2g} m2 above {limits.max_cost_m2:.2g} m2", **evidence)
+    if not cost <= max_cost_m2:
+        return contradicted(f"cost {cost:.2g} m2 above {max_cost_m2:.2g} m2", **evidence)
     if share < limits.min_inlier_share:
         return contradicted(f"inlier share {share:.2f} below {limits.min_inlier_share:.2f}", **evidence)
     if explained < limits.least_tracked_share:

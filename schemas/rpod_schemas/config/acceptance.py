@@ -10,8 +10,10 @@ from rpod_schemas.config.base import Config, Positive, Share
 class AcceptanceConfig(Config):
     """Limits of cost, inliers and self-check."""
 
-    max_cost_m2: Positive = 0.003
-    """Largest mean squared residual of the inliers, f_MAX, m2 (2015 paper, section 4.5)."""
+    max_cost_m2: Positive | None = None
+    """Largest mean squared residual of the inliers, f_MAX, m2. If left out, it follows: 0.003 m2 for the 2015
+    paper's LIDAR (section 4.5), and otherwise in proportion to the square of the range error; 0.003 m2 for a
+    camera and the mock-up, and otherwise in proportion to the square of the size of what is seen."""
     min_explained_share: Share
     """Least share of rays or pixels on which model and measurement agree, for a track to begin."""
     min_tracked_share: Share | None = None

@@ -40,6 +40,7 @@ from rpod_pose.lidar.scan_likelihood import (
     ScanStatistics,
     scan_statistics,
 )
+from rpod_pose.lidar.scan_pattern import UNKNOWN_SIGMA_M
 from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.pose_evidence import Misfit
@@ -61,8 +62,6 @@ deficit would refuse a scan in which all rays are certain."""
 MARGIN = 3
 """Number of rows and columns around the target and the returns that are evaluated near a pose. Numerics: a
 budget; a pose that reaches farther is compared with fewer rays."""
-UNKNOWN_SIGMA_M = 0.05
-"""Sigma of a range if the sensor does not state it. Hand: pulsed LIDARs have errors of 2 to 5 cm."""
 
 DRAWN_POWER = 4
 """Logarithm to base 2 of the number of poses that are drawn near a pose to check whether it is at an optimum.

@@ -8,6 +8,9 @@ from rpod_geometry.rays import RayGrid
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import LidarInfo
 
+UNKNOWN_SIGMA_M = 0.05
+"""Sigma of a range if the sensor does not state it. Hand: pulsed LIDARs have errors of 2 to 5 cm."""
+
 
 @dataclass(frozen=True, eq=False)
 class ScanPattern:
@@ -21,6 +24,11 @@ class ScanPattern:
     """Standard deviation of a range; 0 if the sensor does not state it."""
     row_azimuth_rad: FloatArray | None = None
     """Azimuth that is added in each row to those of the columns, shape (rows,); None if it is 0."""
+
+    @property
+    def assumed_sigma_m(self) -> float:
+        """Standard deviation of a range: the stated one, otherwise that of an unknown sensor."""
+        return self.sigma_range_m or UNKNOWN_SIGMA_M
 
     @property
     def grid(self) -> RayGrid:

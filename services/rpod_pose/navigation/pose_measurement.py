@@ -32,6 +32,7 @@ from rpod_pose.navigation.filter import (
     innovation_of,
     start,
     update,
+    velocity_sigma_m_s,
 )
 from rpod_pose.navigation.filter.blocks import Known, averaged, root_of, variances, with_known
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
@@ -111,7 +112,8 @@ def started(
     names = {block.name for block in blocks}
     chosen = (*blocks, *(block for block in shared.blocks if block.name not in names))
     merged = Known(chosen, np.diag(variances(chosen))) if known is None else with_known(chosen, known)
-    sigma = np.repeat([config.initial_velocity_sigma_m_s, radians(config.initial_rate_sigma_deg_s)], 3)
+    velocity_m_s = velocity_sigma_m_s(measured.T_chaser_target, config)
+    sigma = np.repeat([velocity_m_s, radians(config.initial_rate_sigma_deg_s)], 3)
     return start(
         measured.T_chaser_target,
         shared.covariance + measured.lasting_s**2 * np.diag(sigma**2),

@@ -11,6 +11,7 @@ from rpod_pose.pmd.depth_view import DepthImage
 from rpod_pose.ports import Registration
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.config.acceptance import AcceptanceConfig
+from rpod_schemas.config.pmd.lengths import ResultLengths, relative_size
 from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthErrorConfig
 from rpod_schemas.types import Source
 from rpod_target import Target
@@ -35,9 +36,8 @@ class Progress:
 class ResultConfig(Protocol):
     """The parameters of a depth method's checks."""
 
-    @property
-    def unsettled_m(self) -> float:
-        """Largest last step of iterations that count as converged, m."""
+    def result_lengths(self, size: float) -> ResultLengths:
+        """Return the lengths of the checks for what is seen of a size relative to the mock-up, m."""
         ...
 
     @property
@@ -56,16 +56,21 @@ class ResultConfig(Protocol):
         ...
 
 
+def size_of(target: Target, image: DepthImage) -> float:
+    """Return the size of what an image shows of a target, relative to the mock-up."""
+    return relative_size(target.radius_m, image.median_m)
+
+
 def registration_of(
     progress: Progress, image: DepthImage, target: Target, config: ResultConfig
 ) -> Registration:
     """Return the registration with cost, covariance and self-check, or the reason why there is no pose."""
     sums, T = progress.sums.without_turn(target.equivalence.free_axes), progress.T_sensor_target
-    reason = progress.reason
-    if not reason and progress.step_m > config.unsettled_m:
+    reason, lengths = progress.reason, config.result_lengths(size_of(target, image))
+    if not reason and progress.step_m > lengths.unsettled_m:
         reason = (
             f"did not converge: the last of {progress.iterations} steps was {progress.step_m:.3f} m, "
-            f"limit {config.unsettled_m:.3f} m"
+            f"limit {lengths.unsettled_m:.3f} m"
         )
     if not reason and sums.degenerate(target.radius_m):
         reason = "degenerate: the matched surface does not determine the pose in all directions"
@@ -82,7 +87,9 @@ def registration_of(
     registered = replace(
         registration,
         T_sensor_target=T,
-        explained_share=image.compare(target, T, config.comparison).explained_share,
+        explained_share=image.compare(
+            target, T, tolerance_m=lengths.tolerance_m, missing_weight=config.comparison.missing_weight
+        ).explained_share,
         covariance=sums.covariance(T, config.errors),
     )
-    return accepted_by_residuals(registered, config.acceptance)
+    return accepted_by_residuals(registered, config.acceptance, max_cost_m2=lengths.max_cost_m2)

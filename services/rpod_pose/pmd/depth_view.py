@@ -20,15 +20,15 @@ from rpod_geometry.kernels import kernel
 from rpod_geometry.lens import distort
 from rpod_geometry.rays import RayGrid, cast
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthImageConfig
+from rpod_schemas.config.pmd.methods import DepthImageConfig
 from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 from rpod_target import Target
 
 FARTHEST_M = 1e3
 """Largest valid depth; the least one is ``NEAREST_M``. Physics: no camera has light for a kilometre."""
 HIDDEN_M = 0.03
-"""Least distance behind the surrounding rendered surface at which a model point is hidden. Hand: a larger
-value keeps points behind thin parts, a smaller one loses points by noise."""
+"""Least distance behind the surrounding rendered surface at which a point of the mock-up is hidden; for other
+targets in proportion. Hand: a larger value keeps points behind thin parts, a smaller one loses points."""
 
 STRAY_PARTS = 1, 2, 4, 8
 """Inverse widths of scattered light, over the image. Physics: light that is scattered over less than an
@@ -99,20 +99,23 @@ class DepthView:
         within: NDArray[np.bool_] = np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1)
         return within
 
-    def hidden(self, rendered_m: FloatArray, points_m: FloatArray, pixels: FloatArray) -> NDArray[np.bool_]:
+    def hidden(
+        self, rendered_m: FloatArray, points_m: FloatArray, pixels: FloatArray, *, size: float
+    ) -> NDArray[np.bool_]:
         """Return which points lie behind the rendered surface of all four coarse pixels around them, (N,).
 
         Args:
             rendered_m: z-depth of the target on the coarse pixels, shape (rows, columns), m.
             points_m: points, sensor axes, shape (N, 3).
             pixels: their column and row in the image, shape (N, 2).
+            size: size of the target relative to the mock-up.
         """
         rows, columns = rendered_m.shape
         cell = np.floor((pixels - self.offset) / self.stride)
         column = np.clip(cell[:, 0], 0, columns - 2).astype(np.intp)
         row = np.clip(cell[:, 1], 0, rows - 2).astype(np.intp)
         around = [rendered_m[row + down, column + right] for down in (0, 1) for right in (0, 1)]
-        behind: NDArray[np.bool_] = points_m[:, 2] > np.max(around, axis=0) + HIDDEN_M
+        behind: NDArray[np.bool_] = points_m[:, 2] > np.max(around, axis=0) + HIDDEN_M * size
         return behind
 
 
@@ -191,21 +194,39 @@ class DepthImage:
         slopes = view.slopes[view.offset :: view.stride, view.offset :: view.stride].reshape(-1, 2)
         return np.column_stack((slopes[measured] * z[:, None], z))
 
+    @property
+    def median_m(self) -> float:
+        """Median depth of the coarse pixels; infinite if none has a depth."""
+        measured = self.coarse_m[np.isfinite(self.coarse_m)]
+        return float(np.median(measured)) if measured.size else math.inf
+
     def compare(
-        self, target: Target, T_sensor_target: RigidTransform, config: DepthComparisonConfig
+        self,
+        target: Target,
+        T_sensor_target: RigidTransform,
+        *,
+        tolerance_m: float,
+        missing_weight: float,
     ) -> Agreement:
-        """Return the agreement of the image with a rendering at a pose, on the coarse pixels."""
+        """Return the agreement of the image with a rendering at a pose, on the coarse pixels.
+
+        Args:
+            target: the target.
+            T_sensor_target: the pose.
+            tolerance_m: largest difference of measured and rendered depth that agree.
+            missing_weight: weight of a pixel without depth at a predicted surface.
+        """
         measured, rendered = self.coarse_m, self.view.render(target, T_sensor_target)
         seen, predicted = np.isfinite(measured), np.isfinite(rendered)
         either, both = seen | predicted, seen & predicted
         if not either.any():
-            return Agreement(0.0, config.tolerance_m**2)
-        difference = np.full(measured.shape, config.tolerance_m)
-        difference[both] = np.minimum(np.abs(measured[both] - rendered[both]), config.tolerance_m)
-        weight = np.where(seen, 1.0, config.missing_weight)[either]
+            return Agreement(0.0, tolerance_m**2)
+        difference = np.full(measured.shape, tolerance_m)
+        difference[both] = np.minimum(np.abs(measured[both] - rendered[both]), tolerance_m)
+        weight = np.where(seen, 1.0, missing_weight)[either]
         total = max(weight.sum(), 1e-9)
         return Agreement(
-            explained_share=float(weight @ (difference[either] < config.tolerance_m) / total),
+            explained_share=float(weight @ (difference[either] < tolerance_m) / total),
             cost_m2=float(weight @ difference[either] ** 2 / total),
         )
 

@@ -7,7 +7,7 @@ are searched, and the Geman-McClure scale narrows from step to step.
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.pmd.depth_result import Progress, registration_of
+from rpod_pose.pmd.depth_result import Progress, registration_of, size_of
 from rpod_pose.pmd.depth_view import usable_image
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
@@ -72,7 +72,7 @@ class SignedDistanceTracker:
         if isinstance(image, str):
             return Registration.none(Source.PMD_DEPTH, image)
         points_m = image.points(tuning.points)
-        scales_m = np.geomspace(tuning.scale_m, tuning.final_scale_m, tuning.iterations)
+        scales_m = np.geomspace(*tuning.scales_m(size_of(self._target, image)), tuning.iterations)
         problem = FieldProblem(Points.equal(points_m), field_arrays(self._target), scales_m)
         fit = field_fit(problem, PoseArrays.of(T_sensor_target))
         step_m = step_length_m(fit.step[:6], self._target.radius_m)

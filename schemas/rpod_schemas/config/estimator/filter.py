@@ -79,10 +79,12 @@ class FilterConfig(Config):
     mount_sigma_m: NonNegative = 0.0
     """The same of the place of a sensor's mount along each axis, m. Set it together with
     ``mount_sigma_deg``."""
-    initial_velocity_sigma_m_s: Positive = 1.0
-    """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. Set it to a
-    third of the largest speed of the target relative to the chaser that the mission allows: at more, the
-    second measurement is rejected. The default covers 3 m/s."""
+    initial_velocity_sigma_m_s: Positive | None = None
+    """Standard deviation of the velocity of each axis, m/s, when a filter starts without one. If left out, it
+    follows from the range: three times it is the speed from which 3 m/s2 stop the chaser before the target,
+    so that it is 1 m/s at 1.5 m and 5 m/s at 40 m. Set it to a third of the largest relative speed that your
+    mission allows, for a more certain velocity in the first frames; at more, the second measurement is
+    rejected."""
     initial_rate_sigma_deg_s: Positive = 6.0
     """Standard deviation of the rotation rate of each axis, deg/s, when a filter starts without one. Set it
     to a third of the largest tumbling rate that the mission allows. The default covers 18 deg/s."""

@@ -45,15 +45,17 @@ class TemplateMatchingConfig(MethodConfig):
 class ScanComparisonConfig(Config):
     """The self-check: the target is ray-cast at the solution and compared with the scan, ray by ray."""
 
-    tolerance_m: Positive = 0.25
-    """Largest difference of measured and predicted range that agree, m; it covers 4-sigma outliers."""
+    tolerance_m: Positive | None = None
+    """Largest difference of measured and predicted range that agree, m. If left out, it follows from the
+    error of a range that the sensor states: ten standard deviations, 0.25 m for 25 mm, so that most of the
+    4-sigma outliers agree."""
     margin_deg: Positive = 0.2
     """Angle around a ray within which all predictions must agree with its own, deg; else, as at outlines, the
     ray is not compared."""
     sure_range_m: Positive = 180.0
-    """Range up to which a white surface at normal incidence is surely detected, m. A predicted echo that is
-    weaker than the one from there may be missing. With the printed reading of the detection threshold it is
-    150 m."""
+    """Range up to which the sensor surely detects a white surface at normal incidence, m. A predicted echo
+    that is weaker than the one from there may be missing. With the printed reading of the detection threshold
+    it is 150 m."""
 
 
 class IcpNearestNeighbourConfig(MethodConfig):
@@ -71,21 +73,24 @@ class IcpNearestNeighbourConfig(MethodConfig):
     that no face determines."""
     iterations: Count = 200
     """Largest number of iterations."""
-    step_m: Positive = 1e-4
-    """Motion of the target's surface in one step below which the iterations end, m."""
+    step_m: Positive | None = None
+    """Motion of the target's surface in one step below which the iterations end, m. If left out, it is 0.004
+    standard deviations of a range, 0.1 mm for 25 mm."""
     patience: Count = 20
     """Number of steps without a lower f_CONV after which the iterations end as well."""
-    gate_m: Positive = 0.3
-    """Distance from the surface up to which a point is never an outlier, m; it covers 4-sigma outliers."""
+    gate_m: Positive | None = None
+    """Distance from the surface up to which a point is never an outlier, m. If left out, it covers 4-sigma
+    outliers: twelve standard deviations of a range, 0.3 m for 25 mm."""
     gate_spread: Positive = 3.0
     """Distance from the surface above which a point beyond gate_m is an outlier, robust standard
     deviations."""
     min_points: Annotated[int, Field(ge=6)] = 6
     """Least number of returns, and of inliers, of a registration."""
-    sigma_range_m: Positive = 0.025
-    """Standard deviation of a range for the covariance, m; the spread of the residuals if that is larger."""
-    unobserved_m: Positive = 1.0
-    """Standard deviation of a position that no face determines, m."""
+    sigma_range_m: Positive | None = None
+    """Standard deviation of a range for the covariance, m; the spread of the residuals if that is larger. If
+    left out, it is the one that the sensor states, or 0.05 m if it states none."""
+    unobserved_m: Positive | None = None
+    """Standard deviation of a position that no face determines, m; if left out, the target's radius."""
     unobserved_deg: Positive = 20.0
     """Standard deviation of a rotation that no face determines, deg."""
     comparison: ScanComparisonConfig = ScanComparisonConfig()

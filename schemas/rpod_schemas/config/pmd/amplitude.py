@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.pmd.lengths import chosen
 from rpod_schemas.config.pmd.methods import Count, IcpReverseCalibrationConfig
 from rpod_schemas.config.sensor import MethodConfig
 
@@ -62,8 +63,9 @@ class LineMatchConfig(Config):
 
     angle_deg: Annotated[float, Field(gt=0, lt=90)] = 12.0
     """Largest difference in direction of a line and its model line in the first round, deg."""
-    reach_m: Positive = 0.12
-    """Largest distance of a line from its model line in the first round, at the target's distance, m."""
+    reach_m: Positive | None = None
+    """Largest distance of a line from its model line in the first round, at the target's distance, m. If left
+    out, it is 0.12 m for the mock-up, and in proportion for what is seen of another target."""
     narrowing: Annotated[float, Field(gt=0, le=1)] = 0.35
     """Factor on both limits in each further round."""
     band_px: Positive = 1.5
@@ -83,9 +85,9 @@ class CircleConfig(Config):
     """Radius of the predicted circle in the image that is resampled to its plane, px."""
     radius_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.2
     """Largest difference between a circle's radius and the model's, as a share of the latter."""
-    reach_m: Positive = 0.12
+    reach_m: Positive | None = None
     """Largest distance of the centre from the predicted one in the first round, m; it narrows like that of
-    the lines."""
+    the lines. If left out, it is as long as theirs by default."""
     votes: Positive = 10.0
     """Least number of votes in the accumulator; of several circles the one nearest to the prediction is
     taken."""
@@ -138,6 +140,10 @@ class EpnpConfig(MethodConfig):
     max_sigma_deg: Positive = 8.0
     """Largest standard deviation of an accepted pose about any axis, deg."""
 
+    def reaches_m(self, size: float) -> tuple[float, float]:
+        """Return the reaches of lines and of circles in the first round for a relative size, m."""
+        return chosen(self.lines.reach_m, 0.12 * size), chosen(self.circle.reach_m, 0.12 * size)
+
 
 class HybridConfig(MethodConfig):
     """Both techniques of the 2018 paper on every frame, and the arbitration between them."""
@@ -148,8 +154,9 @@ class HybridConfig(MethodConfig):
     """The first technique."""
     amplitude: EpnpConfig = EpnpConfig()
     """The second technique."""
-    max_depth_cost_m2: Positive = 0.003
-    """Largest mean squared residual of an accepted depth registration, m2."""
+    max_depth_cost_m2: Positive | None = None
+    """Largest mean squared residual of an accepted depth registration, m2. If left out, it follows as that of
+    ``acceptance``."""
     min_inlier_share: Share = 0.45
     """Least share of inliers of an accepted depth registration, among the points that could have matched."""
     min_explained_share: Share = 0.6

@@ -30,6 +30,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_geometry.kernels import kernel
 from rpod_pose.acceptance import accepted_by_residuals
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
+from rpod_pose.lidar.paper_2015.scan_lengths import ScanLengths
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Registration
 from rpod_pose.registration.closest_point import Surface
@@ -131,8 +132,8 @@ def plane_equations(
 class Progress:
     """Decides when the iterations end: converged, without progress, or out of steps."""
 
-    def __init__(self, config: IcpNearestNeighbourConfig) -> None:
-        self._config = config
+    def __init__(self, config: IcpNearestNeighbourConfig, settled_m: float) -> None:
+        self._config, self._settled_m = config, settled_m
         self._step_m, self._least_m2, self._least_at = np.inf, np.inf, 0
         self.steps = 0
 
@@ -144,7 +145,7 @@ class Progress:
         """Return whether to stop at a pose of this cost; at wrong poses the iterations often cycle."""
         if cost_m2 < self._least_m2:
             self._least_m2, self._least_at = cost_m2, self.steps
-        converged = self._step_m < self._config.step_m
+        converged = self._step_m < self._settled_m
         stuck = self.steps - self._least_at >= self._config.patience
         return converged or stuck or self.steps == self._config.iterations
 
@@ -154,6 +155,7 @@ class NearestNeighbourIcp:
 
     def __init__(self, config: IcpNearestNeighbourConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._radius_m = config, target.radius_m
+        self._lengths = ScanLengths.of(config, target, pattern)
         self._surface = Surface.of(target.triangles_m, target.normals)
         shooting = config.matcher == "normal_shooting"
         self._match_on_surface = self._surface.projected if shooting else self._surface.closest
@@ -166,7 +168,7 @@ class NearestNeighbourIcp:
         if len(points_m) < config.min_points:
             return _failed(f"{len(points_m)} returns, {config.min_points} needed")
         nearest = np.zeros(len(points_m), np.int32)
-        progress = Progress(config)
+        progress = Progress(config, self._lengths.step_m)
         while True:
             matches = self._match(points_m, T, nearest)
             if matches is None:
@@ -188,7 +190,7 @@ class NearestNeighbourIcp:
             covariance=self._covariance(matches, T),
             iterations=progress.steps,
         )
-        return accepted_by_residuals(registration, config.acceptance)
+        return accepted_by_residuals(registration, config.acceptance, max_cost_m2=self._lengths.max_cost_m2)
 
     def _match(
         self, points_m: FloatArray, T_sensor_target: RigidTransform, nearest: NDArray[np.int32]
@@ -202,7 +204,7 @@ class NearestNeighbourIcp:
         closest_m = self._match_on_surface(local_m, facing, nearest)
         matched, distance_m = nearest >= 0, np.linalg.norm(local_m - closest_m, axis=1)
         spread_m = MAD_TO_SIGMA * float(np.median(distance_m[matched])) if matched.any() else 0.0
-        gate_m = max(self._config.gate_m, self._config.gate_spread * spread_m)
+        gate_m = max(self._lengths.gate_m, self._config.gate_spread * spread_m)
         return Matches(local_m, closest_m, self._surface.normals[nearest], matched & (distance_m <= gate_m))
 
     def _step(self, matches: Matches) -> RigidTransform:
@@ -212,9 +214,9 @@ class NearestNeighbourIcp:
 
     def _covariance(self, matches: Matches, T_sensor_target: RigidTransform) -> FloatArray:
         """Return the covariance of (dp, dtheta) in the sensor's fixed axes (ICD section 1), shape (6, 6)."""
-        config = self._config
-        variance_m2 = max(config.sigma_range_m**2, matches.cost_m2)
-        weak = np.repeat((config.unobserved_m, radians(config.unobserved_deg)), 3)
+        config, lengths = self._config, self._lengths
+        variance_m2 = max(lengths.sigma_range_m**2, matches.cost_m2)
+        weak = np.repeat((lengths.unobserved_m, radians(config.unobserved_deg)), 3)
         spread = np.linalg.inv(matches.information() / variance_m2 + np.diag(weak**-2))
         to_sensor = np.kron(np.eye(2), T_sensor_target.rotation.as_matrix())
         covariance: FloatArray = to_sensor @ spread @ to_sensor.T

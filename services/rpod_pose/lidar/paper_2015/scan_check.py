@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import NEAREST_M, Hits, RayGrid, cast
+from rpod_pose.lidar.paper_2015.scan_lengths import agreeing_m
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.registration.brightness import albedos
 from rpod_schemas.config.lidar.methods import ScanComparisonConfig
@@ -27,6 +28,7 @@ class ScanComparison:
 
     def __init__(self, config: ScanComparisonConfig, target: Target, pattern: ScanPattern) -> None:
         self._config, self._target = config, target
+        self._tolerance_m = agreeing_m(config, pattern)
         azimuth_rad, elevation_rad = pattern.azimuth_rad, pattern.elevation_rad
         self._shape = (elevation_rad.size, azimuth_rad.size)
         self._albedo = albedos(target)
@@ -46,7 +48,7 @@ class ScanComparison:
         """
         if scan.points_m.shape[:-1] != self._shape:
             return float("nan")
-        tolerance_m, triangles_m = self._config.tolerance_m, self._target.triangles_m
+        tolerance_m, triangles_m = self._tolerance_m, self._target.triangles_m
         hits = cast(self._grid, triangles_m, T_sensor_target)
         beside_m = [cast(grid, triangles_m, T_sensor_target).range_m for grid in self._beside]
         range_m = np.stack((hits.range_m, *beside_m))

@@ -22,6 +22,7 @@ import numpy as np
 from rpod_pose.navigation.filter import (
     ATTITUDE,
     CALM,
+    MOST_M_S2,
     NO_INNOVATIONS,
     POSE,
     POSITION,
@@ -32,6 +33,7 @@ from rpod_pose.navigation.filter import (
     Update,
     gate_of,
     predict,
+    velocity_sigma_m_s,
 )
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.arrays import FloatArray
@@ -40,8 +42,8 @@ from rpod_schemas.messages import NANOSECONDS
 
 _EXPECTED = 3.0
 """Mean of the normalised innovation squared of a position or an attitude. Physics: its degrees of freedom."""
-MOST_M_S2, MOST_DEG_S2 = 3.0, 60.0
-"""Largest accelerations in a mission, m/s2 and deg/s2. Physics: those of a robot that shakes a mock-up."""
+MOST_DEG_S2 = 60.0
+"""Largest angular acceleration in a mission, deg/s2. Physics: that of a robot that shakes a mock-up."""
 UNNOTICED_S = 0.2
 """Time for which such an acceleration may act before the gate refuses a pose, s. Physics: it moves the target
 by 60 mm and turns it by 1.2 deg, which is about what the gate accepts."""
@@ -88,7 +90,7 @@ def explaining(
     if step_s <= 0.0:
         return None
     least = needed(before, predicted, measured, config)
-    bound = greatest(step_s, config)
+    bound = greatest(step_s, before, config)
     found = Manoeuvre(*(max(1.0, min(factor, most)) for factor, most in zip(least, bound, strict=True)))
     return None if found == before.factors else found
 
@@ -136,7 +138,7 @@ def followed(
     """
     state = found.state
     step_s = max((state.stamp_ns - before.stamp_ns) / NANOSECONDS, _SHORTEST_S)
-    keep, bound = exp(-step_s / LAG_S), greatest(step_s, config)
+    keep, bound = exp(-step_s / LAG_S), greatest(step_s, before, config)
     state = replace(
         state,
         manoeuvre=Manoeuvre(*(max(1.0, 0.5 * factor) for factor in state.manoeuvre)),
@@ -199,10 +201,16 @@ def _square(difference: FloatArray, covariance: FloatArray) -> float:
     return float(difference @ np.linalg.solve(covariance, difference))
 
 
-def greatest(step_s: float, config: FilterConfig) -> Manoeuvre:
-    """Return the greatest factors in a step, s, with which the twist is as uncertain as a mission allows."""
+def greatest(step_s: float, before: FilterState, config: FilterConfig) -> Manoeuvre:
+    """Return the greatest factors in a step, s, with which the twist is as uncertain as a mission allows.
+
+    Args:
+        step_s: duration of the step.
+        before: the state at its beginning; the speed that a mission allows depends on the range.
+        config: the filter's configuration.
+    """
     each_axis_s = max(step_s, UNNOTICED_S) / sqrt(3.0)
-    most_m_s = min(config.initial_velocity_sigma_m_s, MOST_M_S2 * each_axis_s)
+    most_m_s = min(velocity_sigma_m_s(before.T_chaser_target, config), MOST_M_S2 * each_axis_s)
     most_rad_s = radians(min(config.initial_rate_sigma_deg_s, MOST_DEG_S2 * each_axis_s))
     return Manoeuvre(
         most_m_s**2 / (config.acceleration_density_m2_s3 * step_s),

@@ -17,10 +17,11 @@ from math import radians
 
 import numpy as np
 
-from rpod_pose.navigation.dynamics.manoeuvre import LAG_S, MOST_DEG_S2, MOST_M_S2, UNNOTICED_S, greatest
+from rpod_pose.navigation.dynamics.manoeuvre import LAG_S, MOST_DEG_S2, UNNOTICED_S, greatest
 from rpod_pose.navigation.filter import (
     ATTITUDE,
     CALM,
+    MOST_M_S2,
     POSITION,
     UNSEEN,
     Block,
@@ -69,7 +70,7 @@ def _open(before: FilterState, after: FilterState, found: Innovation, config: Fi
     errors = found.noise + found.lasting
     errors = after.alike.with_free_variance(errors, rotation_matrix(after.T_chaser_target), 0.0)
     spread = np.zeros((6, 6))
-    twist = _twist_variances(step_s, config)
+    twist = _twist_variances(step_s, before, config)
     for part, most, variance, raised in zip(
         (POSITION, ATTITUDE), (MOST_M_S2, radians(MOST_DEG_S2)), twist, after.may_be_raised, strict=True
     ):
@@ -81,9 +82,9 @@ def _open(before: FilterState, after: FilterState, found: Innovation, config: Fi
     return spread
 
 
-def _twist_variances(step_s: float, config: FilterConfig) -> tuple[float, float]:
+def _twist_variances(step_s: float, before: FilterState, config: FilterConfig) -> tuple[float, float]:
     """Return the variances of velocity and rate of each axis that a mission allows to arise in a step."""
-    most = greatest(step_s, config)
+    most = greatest(step_s, before, config)
     return (
         most.acceleration * config.acceleration_density_m2_s3 * step_s,
         most.angular * config.angular_acceleration_density_rad2_s3 * step_s,

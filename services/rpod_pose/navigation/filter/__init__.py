@@ -33,6 +33,7 @@ from rpod_pose.navigation.filter.correction import (
 from rpod_pose.navigation.filter.first_state import start
 from rpod_pose.navigation.filter.odometry import to_odometry
 from rpod_pose.navigation.filter.prediction import StampOrderError, predict, pushed
+from rpod_pose.navigation.filter.priors import MOST_M_S2, velocity_sigma_m_s
 from rpod_pose.navigation.filter.rotations import exponential, left_jacobian
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
@@ -53,6 +54,7 @@ from rpod_pose.navigation.filter.state import (
 __all__ = [
     "ATTITUDE",
     "CALM",
+    "MOST_M_S2",
     "NOTHING",
     "NO_INNOVATIONS",
     "POSE",
@@ -84,4 +86,5 @@ __all__ = [
     "start",
     "to_odometry",
     "update",
+    "velocity_sigma_m_s",
 ]

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter.blocks import Block, placed, variances
 from rpod_pose.navigation.filter.correction import NOTHING, Sensitivities, measurement_noise, observable
+from rpod_pose.navigation.filter.priors import velocity_sigma_m_s
 from rpod_pose.navigation.filter.rotations import cross_matrix, exponential, orthonormal, symmetric
 from rpod_pose.navigation.filter.state import (
     ATTITUDE,
@@ -65,7 +66,7 @@ def start(
     R = rotation_matrix(T_chaser_target)
     covariance = block_diag(
         covariance if white else measurement_noise(covariance, config, R @ centre_m),
-        config.initial_velocity_sigma_m_s**2 * np.eye(3),
+        velocity_sigma_m_s(T_chaser_target, config) ** 2 * np.eye(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) ** 2 * np.eye(3),
     )
     if blocks:

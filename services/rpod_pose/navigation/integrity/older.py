@@ -59,7 +59,7 @@ def _predicted(older: FilterState, stamp_ns: int, config: FilterConfig) -> Filte
     step_s = (stamp_ns - older.stamp_ns) / NANOSECONDS
     if step_s <= 0.0:
         return older
-    bound = greatest(step_s, config)
+    bound = greatest(step_s, older, config)
 
     def bounded(factors: Manoeuvre) -> Manoeuvre:
         return Manoeuvre(*(max(1.0, min(each)) for each in zip(factors, bound, strict=True)))

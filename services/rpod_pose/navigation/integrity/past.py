@@ -100,7 +100,7 @@ def _with_unknown_velocity(
     step_s = (stamp_ns - begun.stamp_ns) / NANOSECONDS
     if step_s <= 0.0:
         return begun
-    manoeuvre = CALM._replace(acceleration=max(1.0, greatest(step_s, config).acceleration))
+    manoeuvre = CALM._replace(acceleration=max(1.0, greatest(step_s, begun, config).acceleration))
     moved = predict(replace(begun, manoeuvre=manoeuvre), stamp_ns, config)
     return replace(moved, manoeuvre=anchor.manoeuvre)
 

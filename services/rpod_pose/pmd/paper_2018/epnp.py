@@ -26,6 +26,7 @@ from rpod_pose.pmd.paper_2018.wireframe_view import Shown, WireframeView
 from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.amplitude import EpnpConfig
+from rpod_schemas.config.pmd.lengths import relative_size
 from rpod_schemas.poses import pose_error
 from rpod_schemas.types import Camera, PmdFrame, Source
 from rpod_target import Target
@@ -53,13 +54,21 @@ class Search:
     """Whether circles are found by the Hough transform; later rounds measure them at the known pose."""
 
     @classmethod
-    def of(cls, config: EpnpConfig, *, number: int, px_per_m: float) -> "Search":
-        """Return the search of a round, numbered from 0, at the scale of the target's distance."""
+    def of(cls, config: EpnpConfig, *, number: int, px_per_m: float, size: float) -> "Search":
+        """Return the search of a round, numbered from 0.
+
+        Args:
+            config: limits of the first round.
+            number: the round.
+            px_per_m: scale at the target's distance.
+            size: size of what is seen, relative to the mock-up.
+        """
         width = config.lines.narrowing**number
-        reach_px = max(config.lines.reach_m * width * px_per_m, LEAST_REACH_PX)
+        lines_m, circle_m = config.reaches_m(size)
+        reach_px = max(lines_m * width * px_per_m, LEAST_REACH_PX)
         return cls(
             Reach(max(np.deg2rad(config.lines.angle_deg) * width, LEAST_ANGLE_RAD), reach_px),
-            circle_m=max(config.circle.reach_m * width, LEAST_REACH_PX / px_per_m),
+            circle_m=max(circle_m * width, LEAST_REACH_PX / px_per_m),
             tolerance=max(config.circle.radius_tolerance * width, LEAST_TOLERANCE),
             first=number == 0,
         )
@@ -69,7 +78,8 @@ class EpnpTracker:
     """Registers amplitude images by corners, a circle and EPnP: ports.Tracker[PmdFrame]."""
 
     def __init__(self, config: EpnpConfig, target: Target) -> None:
-        self._config, self._farthest_m = config, FARTHEST_RADII * target.radius_m
+        self._config, self._radius_m = config, target.radius_m
+        self._farthest_m = FARTHEST_RADII * target.radius_m
         self._view = WireframeView(
             target,
             only_front=config.points == "front",
@@ -105,8 +115,9 @@ class EpnpTracker:
         shown = self._view.shown(T_sensor_target, view)
         if isinstance(shown, str):
             return shown
-        px_per_m = image.camera.fx / T_sensor_target.translation[2]
-        search = Search.of(self._config, number=number, px_per_m=px_per_m)
+        range_m = float(T_sensor_target.translation[2])
+        size, px_per_m = relative_size(self._radius_m, range_m), image.camera.fx / range_m
+        search = Search.of(self._config, number=number, px_per_m=px_per_m, size=size)
         corners = self._corners(image, shown, T_sensor_target, search)
         centres = self._centres(image, shown, T_sensor_target, search)
         found = corners + centres

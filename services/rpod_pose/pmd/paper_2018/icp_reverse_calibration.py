@@ -19,6 +19,7 @@ narrow from step to step.
 """
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
-from rpod_pose.pmd.depth_result import Progress, registration_of
+from rpod_pose.pmd.depth_result import Progress, registration_of, size_of
 from rpod_pose.pmd.depth_view import DepthImage, DepthView, usable_image
 from rpod_pose.pmd.signed_distance import measured_equations
 from rpod_pose.ports import Registration
@@ -40,6 +41,7 @@ from rpod_pose.registration.normal_equations import (
     no_sums,
 )
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.lengths import MatchLengths, relative_size
 from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig
 from rpod_schemas.types import Float32Array, PmdFrame, Source
 from rpod_target import Target
@@ -48,8 +50,8 @@ NO_MATCH, DIRECT, NEAREST = 0, 1, 2
 """How a model point found its pixel: not at all, in its own pixel, or in the nearest with depth. Numerics:
 small whole numbers, compared for equality only."""
 STALE_M = 0.01
-"""Least step after which the visible model points are determined again. Hand: visibility changes little below
-it; a smaller value costs time."""
+"""Least step after which the visible model points of the mock-up are determined again; for others it is in
+proportion. Hand: visibility changes little below it; a smaller value costs time."""
 EQUAL_WEIGHTS_M = 1e3
 """A Geman-McClure scale at which all matches have the same weight. Numerics: weights then differ by some
 millionths."""
@@ -245,6 +247,7 @@ class ReverseCalibrationIcp:
 
     def __init__(self, config: IcpReverseCalibrationConfig, target: Target) -> None:
         self._config, self._target = config, target
+        self._size = relative_size(target.radius_m, inf)
         self._slides = config.metric == "point_to_plane"
         if self._slides and config.cover_points:
             target.require_field()
@@ -256,21 +259,23 @@ class ReverseCalibrationIcp:
         if isinstance(image, str):
             return Registration.none(Source.PMD_DEPTH, image)
         measured_m = image.points(config.cover_points if self._slides else 0)
+        size = size_of(self._target, image)
+        lengths = config.match_lengths(size)
         progress, shown = Progress(T_sensor_target), np.empty(0, np.intp)
-        while progress.iterations < config.iterations and not self._converged(progress):
-            if progress.step_m > STALE_M:
+        while progress.iterations < config.iterations and not self._converged(progress, lengths):
+            if progress.step_m > STALE_M * size:
                 shown = self._shown(image.view, progress.T_sensor_target)
-            progress = self._advanced(progress, image, shown, measured_m)
+            progress = self._advanced(progress, image, shown, measured_m, lengths)
         return registration_of(progress, image, self._target, config)
 
     def _width(self, iteration: int) -> float:
         """Return the factor on the initial radius, direct match and scale in an iteration."""
         return max(NARROWING**iteration, self._config.final_share) if self._slides else 1.0
 
-    def _converged(self, progress: Progress) -> bool:
+    def _converged(self, progress: Progress, lengths: MatchLengths) -> bool:
         config = self._config
         wide = self._slides and self._width(progress.iterations - 1) > config.final_share
-        small = progress.step_m < config.step_m or progress.sums.cost_m2 < config.error_m2
+        small = progress.step_m < lengths.step_m or progress.sums.cost_m2 < config.error_m2
         return bool(progress.reason) or (small and not wide)
 
     def _shown(self, view: DepthView, T_sensor_target: RigidTransform) -> NDArray[np.intp]:
@@ -284,19 +289,24 @@ class ReverseCalibrationIcp:
         shown = np.flatnonzero(facing & (points_m[:, 2] > NEAREST_M))
         pixels = view.project(points_m[shown])
         rendered_m = view.render(target, T_sensor_target)
-        return shown[view.inside(pixels) & ~view.hidden(rendered_m, points_m[shown], pixels)]
+        return shown[view.inside(pixels) & ~view.hidden(rendered_m, points_m[shown], pixels, size=self._size)]
 
     def _advanced(
-        self, progress: Progress, image: DepthImage, shown: NDArray[np.intp], measured_m: FloatArray
+        self,
+        progress: Progress,
+        image: DepthImage,
+        shown: NDArray[np.intp],
+        measured_m: FloatArray,
+        lengths: MatchLengths,
     ) -> Progress:
         """Return the progress after one more iteration."""
         T, width = progress.T_sensor_target, self._width(progress.iterations)
-        pairs = self._paired(image, shown, T, width)
+        pairs = self._paired(image, shown, T, width, lengths)
         if len(pairs) < self._config.min_matches:
             reason = f"{len(pairs)} model points matched, {self._config.min_matches} needed"
             return replace(progress, reason=reason)
         if self._slides:
-            scale_m = width * self._config.scale_m
+            scale_m = width * lengths.scale_m
             sums = pairs.equations(T, scale_m=scale_m, outline_weight=self._config.outline_weight)
             sums += measured_equations(self._target, measured_m, T, scale_m)
             step = sums.step()
@@ -312,17 +322,22 @@ class ReverseCalibrationIcp:
         )
 
     def _paired(
-        self, image: DepthImage, shown: NDArray[np.intp], T_sensor_target: RigidTransform, width: float
+        self,
+        image: DepthImage,
+        shown: NDArray[np.intp],
+        T_sensor_target: RigidTransform,
+        width: float,
+        lengths: MatchLengths,
     ) -> Pairs:
         """Return the visible model points with their matches."""
         config = self._config
         model_m = self._target.model_points_m[shown]
         points_m = np.ascontiguousarray(T_sensor_target.apply(model_m))  # the kernel is compiled once
-        direct_m = width * config.direct_m if self._slides else 0.0
+        direct_m = width * lengths.direct_m if self._slides else 0.0
         measured_m, kind = find_matches(
             points_m,
             image.view.project(points_m),
             DepthPixels(image.depth_m, image.view.slopes),
-            MatchReach(round(width * config.radius_px), direct_m, config.gate_m),
+            MatchReach(round(width * config.radius_px), direct_m, lengths.gate_m),
         )
         return Pairs(model_m, self._target.model_normals[shown], measured_m, kind)

@@ -6,6 +6,7 @@ the nose. Which face is the front follows from the pose: the largest one that is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import NEAREST_M
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.lengths import relative_size
 from rpod_target import Target
 from rpod_target.outlines import Disc, Face, plane_faces
 
@@ -93,6 +95,7 @@ class WireframeView:
         self, target: Target, *, only_front: bool, min_face_share: float, min_seen_share: float
     ) -> None:
         self._target, self._only_front, self._min_seen_share = target, only_front, min_seen_share
+        self._size = relative_size(target.radius_m, inf)
         faces, discs = plane_faces(target, min_area_m2=0.0)
         self._faces = [face for face in faces if face.area_m2 >= min_face_share * faces[0].area_m2]
         self._discs = [nose_discs(face, discs) for face in self._faces] if only_front else [discs]
@@ -133,7 +136,7 @@ class WireframeView:
         ahead = at_m[:, 2] > NEAREST_M
         at_m[~ahead, 2] = NEAREST_M
         pixels = view.project(at_m)
-        shown = ahead & view.inside(pixels) & ~view.hidden(rendered_m, at_m, pixels)
+        shown = ahead & view.inside(pixels) & ~view.hidden(rendered_m, at_m, pixels, size=self._size)
         enough: NDArray[np.bool_] = shown.reshape(points_m.shape[:2]).mean(axis=1) >= self._min_seen_share
         return enough
 

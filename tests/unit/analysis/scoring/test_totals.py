@@ -78,6 +78,17 @@ def test_the_worst_errors_are_told_with_their_times_in_the_headline(tmp_path):
     )
 
 
+def test_the_headline_tells_the_longest_time_in_which_acquiring_and_verifying_alternate(tmp_path):
+    def frame(number, _time_s):
+        return Frame(mode=T if not 6 <= number < 13 else A if number % 2 else V)
+
+    with open_log(SyntheticRun(frame=frame).write(tmp_path / "run.mcap")) as log:
+        run = stream_run(log)
+        totals = RunTotals.of(*run)
+        line = headline(summarise(log, run, totals), totals)
+    assert "tracked 65 % of the time, at most 0.7 s without a track" in line
+
+
 def test_reasons_are_counted_by_kind_whatever_the_numbers_in_them(tmp_path):
     totals = totals_of(tmp_path, frame=lambda k, _: Frame(reason=f"gate: nis {20 + k}.5" if k % 2 else ""))
     assert totals.reasons.most_common(3) == [("gate: nis …", 10)]

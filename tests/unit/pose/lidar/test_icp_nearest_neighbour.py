@@ -1,3 +1,4 @@
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -6,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.paper_2015.scan_check import ScanComparison
-from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.lidar.paper_2015.scan_lengths import ScanLengths, agreeing_m
+from rpod_pose.lidar.scan_pattern import UNKNOWN_SIGMA_M, ScanPattern
 from rpod_schemas.config.lidar import LidarConfig, LidarNoiseConfig
 from rpod_schemas.config.lidar.methods import IcpNearestNeighbourConfig, ScanComparisonConfig
 from rpod_schemas.poses import make_pose, pose_error
@@ -176,6 +178,31 @@ def test_the_true_pose_explains_nearly_every_ray_and_a_shifted_one_does_not(rang
         shift = make_pose(translation_m=(0.0, 0.0, 0.6))
         assert comparison.explained_share(scan_at(T, frame=seed), T) > 0.96
         assert comparison.explained_share(scan_at(T, frame=seed), shift * T) < 0.6
+
+
+def test_the_lengths_follow_from_the_sensor_and_the_target_unless_they_are_given():
+    paper = ScanLengths.of(IcpNearestNeighbourConfig(), load(BULKY), PATTERN)
+    lengths = (0.025, 0.3, 1e-4, load(BULKY).radius_m, 0.003)
+    assert dataclasses.astuple(paper) == pytest.approx(lengths)
+    assert agreeing_m(ScanComparisonConfig(), PATTERN) == 0.25
+    fine = dataclasses.replace(PATTERN, sigma_range_m=0.005)
+    assert dataclasses.astuple(ScanLengths.of(IcpNearestNeighbourConfig(), load("mockup"), fine)) == (
+        pytest.approx((0.005, 0.06, 2e-5, load("mockup").radius_m, 1.2e-4))
+    )
+    given = IcpNearestNeighbourConfig(gate_m=0.3, unobserved_m=1.0, sigma_range_m=0.02, step_m=1e-3)
+    assert dataclasses.astuple(ScanLengths.of(given, load("mockup"), fine))[:4] == (0.02, 0.3, 1e-3, 1.0)
+    unknown = dataclasses.replace(PATTERN, sigma_range_m=0.0)
+    assert ScanLengths.of(IcpNearestNeighbourConfig(), load(BULKY), unknown).sigma_range_m == UNKNOWN_SIGMA_M
+
+
+def test_an_accurate_sensor_tells_a_pose_that_is_a_decimetre_off():
+    """A tolerance of 0.25 m for every sensor explained nearly all rays of it."""
+    config = LidarConfig(noise=LidarNoiseConfig(sigma_range_m=0.005))
+    comparison = ScanComparison(ScanComparisonConfig(), load(BULKY), ScanPattern.of(config.info()))
+    T, _ = pose_and_guess(0)
+    scan = scan_at(T, sigma_range_m=0.005)
+    assert comparison.explained_share(scan, T) > 0.95
+    assert comparison.explained_share(scan, make_pose(translation_m=(0.0, 0.0, 0.12)) * T) < 0.5
 
 
 def test_returns_that_should_be_there_and_are_not_count_against_a_pose():

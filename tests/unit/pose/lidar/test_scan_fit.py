@@ -10,8 +10,9 @@ from scipy.stats import t as student
 
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.returns.detection import HALVES, RUNGS, STEEPNESS, detection, expected_shares
-from rpod_pose.lidar.scan_fit import DRAWN_POWER, UNKNOWN_SIGMA_M, UPHILL_SIGMAS, ScanModel, uphill
+from rpod_pose.lidar.scan_fit import DRAWN_POWER, UPHILL_SIGMAS, ScanModel, uphill
 from rpod_pose.lidar.scan_likelihood import HIT_MEAN, HIT_VARIANCE, PEAK, STEEPEST
+from rpod_pose.lidar.scan_pattern import UNKNOWN_SIGMA_M
 from rpod_pose.lidar.scan_registration import CHANCE
 from rpod_pose.lidar.scan_view import ScanView, SeenScan
 from rpod_pose.registration.brightness import albedos

@@ -25,7 +25,11 @@ from rpod_target import Equivalence, Symmetry
 
 SECOND_NS = 1_000_000_000
 PLAIN = FilterConfig(
-    position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0, tuning=FilterTuning(gate_nis=1e9)
+    position_floor_m=0.0,
+    attitude_floor_deg=0.0,
+    correlation_inflation=1.0,
+    tuning=FilterTuning(gate_nis=1e9),
+    initial_velocity_sigma_m_s=1.0,
 )
 """Takes measurements at their word."""
 ORIGIN, CENTRE_M = np.zeros(3), np.array([-3.86, -0.4, 0.7])
@@ -98,7 +102,7 @@ def error_of(state: FilterState, truth: Truth) -> FloatArray:
 def random_truth(rng: np.random.Generator, config: FilterConfig, centre_m: FloatArray = ORIGIN) -> Truth:
     centre = Truth(
         make_pose(rotation=Rotation.random(rng=rng), translation_m=rng.normal(0, 5, 3)),
-        config.initial_velocity_sigma_m_s * rng.standard_normal(3),
+        (config.initial_velocity_sigma_m_s or 0.0) * rng.standard_normal(3),
         np.deg2rad(config.initial_rate_sigma_deg_s) * rng.standard_normal(3),
     )
     return at_point(centre, -centre_m)

@@ -110,7 +110,7 @@ def test_frames_that_state_one_error_differently_do_not_tell_what_it_is():
 def test_a_pose_that_the_gate_rejects_says_nothing_of_the_errors_that_frames_share():
     state = started(measured(target(0.0), FRONT), config=CONSIDERED)
     large = replace(PARTS, of_model=diagonal(0.3, 1e-3), of_image=diagonal(0.2, 1e-3))
-    far = make_pose(translation_m=[0.1, 5.0, 6.0])
+    far = make_pose(translation_m=[0.1, 15.0, 6.0])
     wrong = PoseMeasurement(SECOND_NS, far, diagonal(5e-3, 5e-3), Origin("pmd", FRONT, large))
     predicted = predict(state, SECOND_NS, CONSIDERED)
     found = updated(predicted, wrong, CONSIDERED)

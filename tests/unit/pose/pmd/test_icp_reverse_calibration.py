@@ -23,7 +23,6 @@ from rpod_pose.pmd.paper_2018.icp_reverse_calibration import (
 from rpod_pose.registration.lie_group import moved
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd.methods import (
-    DepthComparisonConfig,
     DepthImageConfig,
     IcpReverseCalibrationConfig,
 )
@@ -36,6 +35,7 @@ OBLIQUE = make_pose(
     rotation=Rotation.from_euler("y", 35, degrees=True) * FACING, translation_m=(0.1, 0.0, 4.0)
 )
 mockup = cache(lambda: load_target("mockup"))
+LIMITS = {"tolerance_m": 0.12, "missing_weight": 0.25}
 
 
 def off(T, degrees, metres, axis=(0.6, 0.64, -0.48)):
@@ -146,7 +146,7 @@ def test_the_covariance_is_largest_along_the_line_of_sight_and_positive():
 def test_a_right_pose_is_explained_and_a_turned_one_less_so():
     image = usable_image(depth_frame(mockup(), FRONTAL, noise_m=0.01), DepthImageConfig())
     right, turned, aside = (
-        image.compare(mockup(), T, DepthComparisonConfig())
+        image.compare(mockup(), T, **LIMITS)
         for T in (FRONTAL, off(FRONTAL, 60.0, 0.0, (1, 0, 0)), off(FRONTAL, 0.0, 0.3, (0, 1, 0)))
     )
     assert right.explained_share > 0.98
@@ -161,9 +161,7 @@ def test_lost_depth_contradicts_less_than_foreign_depth():
     lost = frame_of(np.where(left, np.nan, frame.depth_m))
     foreign = frame_of(np.where(left, 3.0, frame.depth_m))
     share = {
-        name: usable_image(image, DepthImageConfig())
-        .compare(mockup(), FRONTAL, DepthComparisonConfig())
-        .explained_share
+        name: usable_image(image, DepthImageConfig()).compare(mockup(), FRONTAL, **LIMITS).explained_share
         for name, image in (("lost", lost), ("foreign", foreign))
     }
     assert share["lost"] > 0.75
