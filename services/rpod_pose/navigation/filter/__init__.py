@@ -46,7 +46,9 @@ from rpod_pose.navigation.filter.state import (
     FilterState,
     InnovationSum,
     Manoeuvre,
+    Motion,
     MotionModel,
+    Other,
     Steady,
 )
 
@@ -66,7 +68,9 @@ __all__ = [
     "Innovation",
     "InnovationSum",
     "Manoeuvre",
+    "Motion",
     "MotionModel",
+    "Other",
     "Sensitivities",
     "StampOrderError",
     "Steady",
