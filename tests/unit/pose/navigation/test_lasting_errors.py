@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.navigation.filter import POSE, TWIST, FilterState, predict
+from rpod_pose.navigation.integrity.clocks import clock_of_mounts
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, shared_errors, started, updated
 from rpod_pose.pose_evidence import ErrorParts
@@ -189,6 +190,19 @@ def test_an_offset_is_too_large_only_where_the_mounts_are_declared_better(
     config = IntegrityConfig(mount_sigma_deg=declared_deg, mount_sigma_m=declared_m)
     assert (offset.excess(config) > 38.3) is fails  # chi squared of 6 degrees of freedom at 1e-6
     assert offset.describe().startswith("the mounts of lidar and pmd disagree by 0.3")
+
+
+def test_an_offset_between_mounts_that_late_stamps_explain_says_so(tracked: tuple[FilterState, FloatArray]):
+    """Of an offset about the axis of the rate, nothing tells whether a mount or a clock is wrong."""
+    state, _ = tracked
+    (offset,) = mount_offsets(state, ["lidar", "pmd"])
+    assert clock_of_mounts(offset, state) == ""
+    late_s = 0.05
+    moved = -late_s * np.concatenate([state.velocity_m_s, state.rate_rad_s])
+    moved[:3] -= np.cross(moved[3:], state.T_chaser_target.translation)
+    text = clock_of_mounts(replace(offset, error=moved), state)
+    assert text.startswith(", or the stamps of pmd are 50 +- ")
+    assert text.endswith("ms late against those of lidar")
 
 
 def test_one_sensor_tells_no_offset_and_keeps_the_whole_uncertainty_of_its_mount():
