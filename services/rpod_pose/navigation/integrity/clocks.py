@@ -56,8 +56,8 @@ def clock_test(
     *,
     estimate: FilterState,
     config: IntegrityConfig,
-) -> Statistic:
-    """Return the test whether the solutions of two sensors differ along the motion, as by a clock.
+) -> tuple[Statistic, dict[str, float]]:
+    """Return the test whether the solutions of two sensors differ along the motion, and the evidence.
 
     The covariance of the difference contains the declared errors of both mounts and both clocks. So a
     difference beyond it is not explained by what is declared.
@@ -70,10 +70,14 @@ def clock_test(
     late = late_of(apart, covariance, estimate)
     name = f"{pair.one} and {pair.other} along the motion"
     if late is None:
-        return Statistic(name, 0.0, 1)
+        return Statistic(name, 0.0, 1), {}
     angle_deg, length_m = np.rad2deg(np.linalg.norm(apart[ATTITUDE])), np.linalg.norm(apart[POSITION])
     differ = f"; they differ by {angle_deg:.2f} deg and {1e3 * length_m:.0f} mm: mounts, or "
-    return Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair))
+    told = f"{pair.other}_against_{pair.one}_stamps_late"
+    return (
+        Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair)),
+        {f"{told}_s": late.offset_s, f"{told}_sigma_s": late.sigma_s},
+    )
 
 
 def clock_of_mounts(offset: MountOffset, estimate: FilterState) -> str:

@@ -196,7 +196,9 @@ class Monitor:
             ]
             if len(there) == 2:
                 if len(memory.without) == 2:
-                    tests.append(clock_test(Pair(one, other), *there, estimate=estimate, config=self._config))
+                    test, late = clock_test(Pair(one, other), *there, estimate=estimate, config=self._config)
+                    tests.append(test)
+                    evidence |= late
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
             cause = clock_of_mounts(offset, estimate)

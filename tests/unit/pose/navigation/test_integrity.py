@@ -242,9 +242,7 @@ def spin(time_s):
 
 
 @pytest.mark.parametrize("late_s", [0.05, -0.05, 0.0])
-def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_and_mount(
-    late_s, monkeypatch
-):
+def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_and_mount(late_s, monkeypatch):
     monkeypatch.setitem(globals(), "truth", spin)
     stated = {"attitude_floor_deg": 0.0, "position_floor_m": 0.0, "correlation_inflation": 1.0}
     config = CONFIG.model_copy(update=stated)
@@ -265,6 +263,8 @@ def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_an
     assert found is not None
     assert float(found[1]) == pytest.approx(0.4, abs=0.1)
     assert float(found[2]) == pytest.approx(50.0, abs=4.0 * float(found[3]))
+    sigma_s = alerts[-1].evidence["pmd_against_lidar_stamps_late_sigma_s"]
+    assert alerts[-1].evidence["pmd_against_lidar_stamps_late_s"] == pytest.approx(late_s, abs=4.0 * sigma_s)
     assert found[4] == ("late" if late_s > 0.0 else "early")
 
 

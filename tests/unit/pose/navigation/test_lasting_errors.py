@@ -134,9 +134,11 @@ def as_stated(pose: RigidTransform, error: FloatArray, mount: RigidTransform) ->
     return stated * mount.inv() * pose
 
 
-@pytest.fixture(scope="module")
-def tracked() -> tuple[FilterState, FloatArray]:
-    """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount."""
+def followed(bias_m: float) -> tuple[FilterState, FloatArray]:
+    """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount.
+
+    The camera's distances may have a bias of a standard deviation.
+    """
     rng = np.random.default_rng(4)
     error = np.concatenate([[0.012, -0.016, 0.0], np.radians([0.18, 0.0, 0.24])])
 
@@ -146,20 +148,53 @@ def tracked() -> tuple[FilterState, FloatArray]:
         return make_pose(rotation=turn, translation_m=pose.translation + off[:3])
 
     no_parts = ErrorParts.lasting_model(diagonal(1e-3, 1e-3), np.zeros((6, 6)))
+    along = np.diag([0.0, 0.0, bias_m**2, 0.0, 0.0, 0.0])
+    seen = (
+        ("lidar", BESIDE, np.zeros(6), no_parts),
+        ("pmd", FRONT, error, replace(no_parts, of_sensor=along)),
+    )
     state = None
     for stamp_s in np.arange(0.0, 30.0, 0.5):
         stamp_ns, truth = round(stamp_s * SECOND_NS), target(stamp_s)
-        for sensor, mount, off in (("lidar", BESIDE, np.zeros(6)), ("pmd", FRONT, error)):
+        for sensor, mount, off, parts in seen:
             pose = noisy(as_stated(truth, off, mount))
             # the stated mount is what the pose was computed with
             stated = as_stated(mount, off, mount)
-            each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, no_parts))
+            each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, parts))
             if state is None:
                 state = started(each, config=MOUNTS)
             else:
                 state = updated(predict(state, stamp_ns, MOUNTS), each, MOUNTS).state
     assert state is not None
     return state, error
+
+
+@pytest.fixture(scope="module")
+def tracked() -> tuple[FilterState, FloatArray]:
+    return followed(0.0)
+
+
+def test_a_mount_along_the_boresight_is_not_told_from_a_bias_of_depth():
+    """A camera that is not calibrated beside a LIDAR."""
+    bias_m = 0.04
+    state, _ = followed(bias_m)
+    (offset,) = mount_offsets(state, ["lidar", "pmd"])
+    places = state.places()
+    boresight = FRONT.rotation.as_matrix()[:, 2]
+    mount, other = (np.zeros(state.size), np.zeros(state.size))
+    mount[places["mount of pmd"]][:3] = boresight
+    mount[places["mount of lidar"]][:3] = -boresight
+    other[places["calibration of pmd"]][2] = bias_m
+    sigma = [np.sqrt(each @ state.covariance @ each) for each in (mount, other)]
+    prior_m = 0.02 * np.sqrt(2.0)
+    assert sigma[0] == pytest.approx(prior_m * bias_m / np.hypot(prior_m, bias_m), rel=0.05)
+    assert sigma[1] == pytest.approx(bias_m)
+    # of both together, the mount gets the share that its prior has
+    share = prior_m**2 / (prior_m**2 + bias_m**2)
+    assert mount @ state.covariance @ other == pytest.approx(-share * bias_m**2, rel=0.05)
+    across = FRONT.rotation.as_matrix()[:, 0]
+    assert np.sqrt(across @ offset.covariance[:3, :3] @ across) < 3e-3
+    assert "with the bias of the distances of pmd, of which it cannot be told" in offset.describe()
 
 
 def test_the_offset_between_two_mounts_is_found_with_its_sigma(tracked: tuple[FilterState, FloatArray]):

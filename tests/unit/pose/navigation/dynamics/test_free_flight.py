@@ -10,6 +10,7 @@ from rpod_motion.imu import Imu
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
 from rpod_pose.navigation.dynamics.options import CHASER_TURNS, Dynamics, evidence_of
 from rpod_pose.navigation.dynamics.slewing import turns
+from rpod_pose.navigation.integrity.refused import turning_solutions
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.motion import ImuNoiseConfig
@@ -80,6 +81,18 @@ def test_a_slew_without_a_gyro_is_survived_and_told():
     assert slewing.tracked_deg < 0.4
     assert 1.0 < slewing.tracked_nees < 12.0
     assert not turns(fly(replace(course, slews=False), 2).state)
+
+
+def test_a_level_contains_the_estimate_of_a_chaser_that_turns_before_this_is_known():
+    """Until the poses decide, the track and the filter beside it may both be right."""
+    track = fly(replace(CAMERA, slews=True, tracked_s=5.0, gap_s=0.0, filter=AT_THEIR_WORD), 1).state
+    assert not turns(track)
+    (found,) = turning_solutions(track, AT_THEIR_WORD, 1e-4)
+    assert np.degrees(np.linalg.norm(found.separation[3:])) > 0.05
+    assert 1e-4 / (1.0 + 1e-4) <= found.probability < 1.0
+    likely = replace(track, other=replace(track.other, log_odds=12.0))
+    assert turning_solutions(likely, AT_THEIR_WORD, 1e-4)[0].probability > 0.9
+    assert turning_solutions(replace(track, other=None), AT_THEIR_WORD, 1e-4) == []
 
 
 def test_a_chaser_that_holds_its_attitude_again_bridges_gaps_again():
