@@ -48,9 +48,8 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 
 HELD_S = 60.0
-"""Time for which a chaser must have held its attitude until this is assumed again, s. Hand: a slew takes
-about a minute; while its rate is constant, poses contradict a held attitude but slowly."""
-
+"""Time for which a chaser must have held its attitude until this is assumed again, s. Physics: a slew by 60
+deg at 1 deg/s; while its rate is constant, poses contradict a held attitude but slowly."""
 TURNS = "the chaser turns without a known rate, so that no gap is bridged (set dynamics.imu)"
 """What an operator is told about a track whose chaser turns."""
 _REFUSALS = 3.0
