@@ -53,7 +53,13 @@ def courses() -> Iterator[tuple[str, Course]]:
     )
     quiet = Course(mockup, 5.0, _TORQUE_FREE)
     yield "5 deg/s, camera, torque-free, no slew", quiet
-    yield "5 deg/s, camera, torque-free, slew 1 deg/s, no gyro", replace(quiet, slews=True)
+    yield "5 deg/s, camera, torque-free, slew 1 deg/s, no gyro", replace(quiet, slews=True, gap_s=0.0)
+    scans = Course(
+        envisat, 5.0, _TORQUE_FREE, range_m=40.0, scans_hz=1.0, sigma_m=0.02, tracked_s=120.0,
+        slews=True, gap_s=0.0, filter=AT_THEIR_WORD,
+    )  # fmt: skip
+    yield "5 deg/s, scans, torque-free, slew 1 deg/s, no gyro", scans
+    yield "5 deg/s, scans, constant rate, slew 1 deg/s", replace(scans, dynamics={})
     yield (
         "5 deg/s, camera, torque-free, slew 1 deg/s, gyro",
         replace(quiet, slews=True, dynamics={**_TORQUE_FREE, "imu": {}}, imu=_IMU),
@@ -73,7 +79,10 @@ def main() -> None:
     arguments = parser.parse_args()
     out = Console(soft_wrap=True, highlight=False)
     out.print(f"{arguments.seeds} seeds a row, from 1; errors at the end of the gap")
-    out.print("deg p50, p95, max | mm p50, p95, max | sigma deg, mm | NEES | tracked deg, mm | refused")
+    out.print(
+        "deg p50, p95, max | mm p50, p95, max | sigma deg, mm | NEES | tracked deg, mm, NEES | worst deg, mm"
+        " | refused"
+    )
     for name, course in courses():
         if arguments.only in name:
             found = [fly(course, seed) for seed in range(1, arguments.seeds + 1)]
@@ -84,14 +93,16 @@ def _row(found: list[Result]) -> str:
     deg = np.array([each.attitude_deg for each in found])
     mm = 1e3 * np.array([each.position_m for each in found])
     sigma = np.median([(each.sigma_deg, 1e3 * each.sigma_m) for each in found], axis=0)
-    tracked = np.mean([(each.tracked_deg, 1e3 * each.tracked_m) for each in found], axis=0)
+    tracked = np.mean([(each.tracked_deg, 1e3 * each.tracked_m, each.tracked_nees) for each in found], axis=0)
+    worst = np.max([(each.worst_deg, 1e3 * each.worst_m) for each in found], axis=0)
     return " | ".join(
         (
             ", ".join(f"{value:.3f}" for value in (np.median(deg), np.quantile(deg, 0.95), deg.max())),
             ", ".join(f"{value:.1f}" for value in (np.median(mm), np.quantile(mm, 0.95), mm.max())),
             f"{sigma[0]:.3f}, {sigma[1]:.1f}",
             f"{np.mean([each.nees for each in found]):.1f}",
-            f"{tracked[0]:.3f}, {tracked[1]:.2f}",
+            f"{tracked[0]:.3f}, {tracked[1]:.2f}, {tracked[2]:.1f}",
+            f"{worst[0]:.2f}, {worst[1]:.0f}",
             str(sum(each.refused for each in found)),
         )
     )

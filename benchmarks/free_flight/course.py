@@ -17,9 +17,11 @@ from rpod_motion.motion import MARGIN_S, Motion
 from rpod_motion.trajectories.approach import Approach
 from rpod_motion.trajectories.station_keeping import StationKeeping
 from rpod_motion.trajectories.synchronised import Slewing
-from rpod_motion.trajectories.trajectory import Trajectory
+from rpod_motion.trajectories.trajectory import Trajectory, TrajectoryState
 from rpod_pose.navigation.dynamics.options import Dynamics
-from rpod_pose.navigation.filter import FilterState, predict, start, update
+from rpod_pose.navigation.filter import FilterState, predict, start
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -58,6 +60,8 @@ class Course:
     axis: tuple[float, float, float] | None = None
     """Axis of the rate, target axes; random if left out."""
     slews: bool = False
+    holds_again: bool = False
+    """Whether a slew ends after a quarter of its period, and the chaser then holds the attitude."""
     in_orbit: bool = False
     """Whether the chaser is on a safety ellipse about the target; otherwise both drift apart on a line."""
     imu: ImuNoiseConfig | None = None
@@ -89,9 +93,23 @@ class Result:
     tracked_deg: float
     """RMS over the second half of the track."""
     tracked_m: float
+    tracked_nees: float
+    """Mean over the second half of the track."""
+    worst_deg: float
+    """Largest error of the track after its first two seconds."""
+    worst_m: float
     state: FilterState = field(repr=False)
     """State after the last measurement."""
     imu: Imu | None = None
+
+
+class SlewingOnce(Slewing):
+    """A slew that ends where its rate is zero for the first time."""
+
+    def state(self, time_s: float) -> TrajectoryState:
+        """Return the state at a time from the epoch."""
+        period_s = max(self.period_s, 4.0 * time_s)
+        return Slewing(self.path, self.axis, self.amplitude_rad, period_s).state(time_s)
 
 
 def fly(course: Course, seed: int) -> Result:
@@ -104,7 +122,7 @@ def fly(course: Course, seed: int) -> Result:
         imu = Imu(course.imu, motion, centre_of_mass_m=centre_m, seed=seed)
     dynamics = Dynamics.of(DynamicsConfig.model_validate(course.dynamics), course.assumed())
     feed = _Feed(dynamics, imu)
-    state, offs, refused = None, [], 0
+    state, offs, squares, refused = None, [], [], 0
     for number in range(round(course.tracked_s * course.scans_hz) + 1):
         time_s = number / course.scans_hz
         feed.up_to(time_s)
@@ -117,17 +135,19 @@ def fly(course: Course, seed: int) -> Result:
                 blocks=dynamics.blocks_at(_stamp(time_s)), model=dynamics.model,
             )  # fmt: skip
             continue
-        outcome = update(
-            predict(state, _stamp(time_s), course.filter), measured, covariance, config=course.filter
-        )
-        state, refused = outcome.state, refused + (not outcome.accepted)
-        offs.append(_error(state, truth))
+        pose = PoseMeasurement(_stamp(time_s), measured, covariance, alone=True)
+        applied = apply(History(state), pose, course.filter)
+        state, refused = applied.history.state, refused + (not applied.accepted)
+        off = _error(state, truth)
+        offs.append(off)
+        squares.append(float(off @ np.linalg.solve(state.covariance[:6, :6], off)))
     assert state is not None  # noqa: S101 - there is a first measurement
     end_s = course.tracked_s + course.gap_s
     feed.up_to(end_s)
     after = predict(state, _stamp(end_s), course.filter)
     off, P = _error(after, motion.state(end_s).T_chaser_target), after.covariance[:6, :6]
     late = np.array(offs[len(offs) // 2 :])
+    settled = np.array(offs[min(round(2.0 * course.scans_hz), len(offs) - 1) :])
     return Result(
         attitude_deg=float(np.degrees(np.linalg.norm(off[3:]))),
         position_m=float(np.linalg.norm(off[:3])),
@@ -137,6 +157,9 @@ def fly(course: Course, seed: int) -> Result:
         refused=refused,
         tracked_deg=float(np.degrees(np.sqrt((late[:, 3:] ** 2).sum(axis=1).mean()))),
         tracked_m=float(np.sqrt((late[:, :3] ** 2).sum(axis=1).mean())),
+        tracked_nees=float(np.mean(squares[len(offs) // 2 :])),
+        worst_deg=float(np.degrees(np.linalg.norm(settled[:, 3:], axis=1).max())),
+        worst_m=float(np.linalg.norm(settled[:, :3], axis=1).max()),
         state=state,
         imu=imu,
     )
@@ -172,7 +195,8 @@ def _motion(course: Course, generator: np.random.Generator) -> Motion:
         end_m = np.array([0.05, 0.0, course.range_m - 0.3])
         path = Approach(np.array([0.0, 0.0, course.range_m]), end_m, duration_s, 0.0, anchor_m=centre_m)
     if course.slews:
-        path = Slewing(path, np.array([0.0, 1.0, 0.0]), SLEW_RAD, SLEW_PERIOD_S)
+        kind = SlewingOnce if course.holds_again else Slewing
+        path = kind(path, np.array([0.0, 1.0, 0.0]), SLEW_RAD, SLEW_PERIOD_S)
     attitude = integrate_tumble(
         quaternion_xyzw=Rotation.random(random_state=generator).as_quat(),
         rate_rad_s=radians(course.rate_deg_s) * axis / np.linalg.norm(axis),

@@ -18,6 +18,7 @@ from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.dynamics.slewing import TURNS, turns
 from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
@@ -99,6 +100,7 @@ class Estimator:
         self._passed_ns: int | None = None
         self._is_reset = False
         self._ticked_ns = 0
+        self._has_turned = False
 
     @property
     def mode(self) -> Mode:
@@ -309,6 +311,11 @@ class Estimator:
         return Output(status, None)
 
     def _log_change(self, before: Mode, output: Output) -> None:
+        has_turned = self._state.history is not None and turns(self._state.history.state)
+        if has_turned != self._has_turned:
+            self._has_turned = has_turned
+            held = "the chaser is assumed to hold its attitude again"
+            log.warning("dynamics: %s", TURNS if has_turned else held)
         if output.status.mode != before:
             reason = output.lost or output.status.reason
             log.info("%s -> %s%s", before.name, output.status.mode.name, f": {reason}" if reason else "")

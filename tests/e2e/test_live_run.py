@@ -44,6 +44,7 @@ FIELDS = {
     "latency_s": DURATIONS,
     "processing_s": DURATIONS,
     "consistency": ("nees_mean", "nees_share_in_95"),
+    "integrity": ("misleading", "alerts", "availability"),
 }  # fmt: skip
 """``summary.json`` as the interface control document has it in section 6."""
 

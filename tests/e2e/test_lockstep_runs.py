@@ -5,6 +5,7 @@ other. They have the same seed, with two hash seeds of Python. What another seed
 ``tests/integration/test_lockstep.py`` shows.
 """
 
+import json
 from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -130,6 +131,12 @@ def test_nothing_is_dropped_or_missed(run):
     with open_log(run.log) as log:
         counts = {name: count for name, count in log.counts.items() if name != DIAGNOSTICS.name}
         assert all(count.lost == count.missed == count.duplicates == 0 for count in counts.values())
+
+
+def test_the_summary_has_the_keys_of_handovers_and_of_integrity(runs):
+    found = json.loads(runs["seven"].stdout)
+    assert {"count", "gap_s", "jump_m", "jump_deg"} <= set(found["handover"])
+    assert set(found["integrity"]) == {"misleading", "alerts", "availability"}
 
 
 def test_the_target_is_tracked(run):

@@ -23,6 +23,7 @@ def cells(options: Options) -> list[IntegrityCell]:
             target=target,
             sensor=sensor,
             world=world,
+            camera_hz=options.rate,
             document=document_of(options.scenarios, sensor, target, world),
         )
         for target in targets(options.target)

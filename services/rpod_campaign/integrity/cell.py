@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from rpod_campaign.integrity.faults import BY_NAME
-from rpod_campaign.sequences.course import fault_start_s
+from rpod_campaign.sequences.course import PMD_HZ, fault_start_s
 from rpod_schemas.config.emulator import WorldName
 
 
@@ -18,6 +18,8 @@ class IntegrityCell:
     sensor: str
     """``lidar``, ``pmd``, or ``both``."""
     world: WorldName = "documented"
+    camera_hz: float = PMD_HZ
+    """Rate of the camera."""
     document: str = field(default="", repr=False)
     """JSON of the scenario with the camera; empty for the LIDAR alone."""
 

@@ -5,10 +5,12 @@ same name here. These faults act on a frame in the process, between the emulated
 """
 
 from dataclasses import dataclass, replace
+from math import log
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.integrity.ranges import with_longer_ranges
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration, Tracker
@@ -33,7 +35,7 @@ class Fault:
 FAULTS = (
     Fault("none", (0.0,), "", lasting=True),
     Fault("half_turn", (10.0, 45.0, 180.0), "deg"),
-    Fault("wrong_target", (1.0,), "", lasting=True),
+    Fault("wrong_target", (1.0, 2.0, 3.0), "kind", lasting=True),
     Fault("wrong_scale", (1.0, 2.0, 3.0, 10.0), "%", lasting=True),
     Fault("mount_off", (0.1, 0.3, 1.0, 3.0), "deg", seen_by_one=False),
     Fault("clock_behind", (0.01, 0.05, 0.2), "s", seen_by_one=False),
@@ -43,15 +45,34 @@ FAULTS = (
 """All kinds, with their sizes."""
 BY_NAME = {fault.name: fault for fault in FAULTS}
 FAULT_NAMES = tuple(BY_NAME)
-OTHERS = {"hexagonal-body": "mockup"}
-"""Model that is looked for in ``wrong_target``, by the target; ``hexagonal-body`` for all others."""
+PARTS_OF = {"hexagonal-body": "mockup"}
+"""Model that is looked for in ``wrong_target`` of kind 1, by the target; ``hexagonal-body`` for all others.
+It is the body of the mock-up, whose front it lacks."""
+OTHERS = ("random-report-7-2-small", "random-report-7-3")
+"""Bodies of which one is looked for in ``wrong_target`` of kind 2, as large as the target."""
+_LEAST_SCALE, _MOST_SCALE = 0.51, 1.99
+"""Limits of the scale of a model that a variation allows (``rpod_target.variation``)."""
 
 
 def model_of(target: str, fault: str, size: float) -> str:
-    """Return the name of the model that the methods look for."""
-    if fault == "wrong_target":
-        return OTHERS.get(target, "hexagonal-body")
-    return f"{target}@scale={size:g}%" if fault == "wrong_scale" else target
+    """Return the name of the model that the methods look for.
+
+    A wrong target has one of three kinds: 1, a body that is a part of the mock-up; 2, another body, as large
+    as the target; 3, the target with places off by a tenth of its radius (RMS).
+    """
+    if fault == "wrong_scale":
+        return f"{target}@scale={size:g}%"
+    if fault != "wrong_target":
+        return target
+    if size == 1.0:
+        return PARTS_OF.get(target, "hexagonal-body")
+    radius_m = cached_target(target).radius_m
+    if size == 3.0:
+        return f"{target}@off={100.0 * radius_m:.0f}mm"
+    scales = {name: radius_m / cached_target(name).radius_m for name in OTHERS}
+    name = min(scales, key=lambda each: abs(log(scales[each])))
+    scale = min(max(scales[name], _LEAST_SCALE), _MOST_SCALE)
+    return f"{name}@scale={100.0 * (scale - 1.0):.0f}%"
 
 
 class Injector:

@@ -7,6 +7,8 @@ from pydantic import Field
 from rpod_campaign.engine.options import Names, Provided, Trials, Worlds
 from rpod_campaign.engine.options import Options as CampaignOptions
 from rpod_campaign.integrity.faults import FAULT_NAMES
+from rpod_campaign.sequences.course import PMD_HZ
+from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 
 
@@ -23,10 +25,12 @@ class Options(CampaignOptions):
         "pmd",
         "both",
     )
-    """Sensors: a LIDAR at 1 Hz, a calibrated camera at 15 Hz, or both, of which the camera has the fault
+    """Sensors: a LIDAR at 1 Hz, a calibrated camera, or both, of which the camera has the fault
     in its middle size."""
     fault: Names = FAULT_NAMES
     """Faults: none, half_turn, wrong_target, wrong_scale, mount_off, clock_behind, frozen, range_drift."""
+    rate: Positive = PMD_HZ
+    """Rate of the camera, Hz."""
     world: Worlds = ("documented",)
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Installed scenarios, by name."""

@@ -16,7 +16,6 @@ from rpod_campaign.engine.report.statistics import consistency, quantile
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME
 from rpod_campaign.integrity.trial import FRAME
-from rpod_campaign.sequences.course import PMD_HZ
 
 Results = Sequence[CellResult[IntegrityCell]]
 _KEPT = 50
@@ -274,4 +273,4 @@ def _onsets(sequence: pl.DataFrame) -> int:
 
 
 def _rate_hz(cell: IntegrityCell) -> float:
-    return {"lidar": 1.0, "pmd": PMD_HZ, "both": PMD_HZ + 1.0}[cell.sensor]
+    return {"lidar": 1.0, "pmd": cell.camera_hz, "both": cell.camera_hz + 1.0}[cell.sensor]

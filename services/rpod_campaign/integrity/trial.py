@@ -66,7 +66,7 @@ SCHEMA: dict[str, Any] = {
 
 def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     """Return a row for each frame of the sequence."""
-    course = Course(cell, seed, trial)
+    course = Course(cell, seed, trial, camera_hz=cell.camera_hz)
     faulty = "lidar" if cell.sensor == "lidar" else "pmd"
     turn = Rotation.from_rotvec(cell.size * np.eye(3)[stream(seed, trial, _TURN).integers(3)], degrees=True)
     methods, turned = _turnable(_methods(cell), turn)

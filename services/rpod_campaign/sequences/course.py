@@ -80,7 +80,8 @@ def fault_start_s(sensor: str) -> float:
 class Course:
     """The motion of a trial's target, and the frames that the sensors take of it."""
 
-    def __init__(self, cell: CourseCell, seed: int, trial: int) -> None:
+    def __init__(self, cell: CourseCell, seed: int, trial: int, *, camera_hz: float = PMD_HZ) -> None:
+        self._camera_hz = camera_hz
         self._cell, self._seed, self._trial = cell, seed, trial
         self._offset_s = 0.0
         self._stage: Stage | None = None
@@ -100,12 +101,12 @@ class Course:
 
     def frames(self) -> Iterator[Shown]:
         """Yield the frames of all sensors in the order of time."""
-        duration_s, rate_hz = (LIDAR_S, 1.0) if self._stage is None else (PMD_S, PMD_HZ)
+        duration_s, rate_hz = (LIDAR_S, 1.0) if self._stage is None else (PMD_S, self._camera_hz)
         for number in range(int(duration_s * rate_hz)):
             time_s = number / rate_hz
             if self._stage is not None:
                 yield self._image(self._stage, time_s)
-            if self._stage is None or (self._cell.sensor == "both" and number % round(PMD_HZ) == 0):
+            if self._stage is None or (self._cell.sensor == "both" and number % round(self._camera_hz) == 0):
                 yield self._scan(time_s)
 
     def _scan(self, time_s: float) -> Shown:

@@ -11,6 +11,7 @@ from math import inf
 from typing import NamedTuple
 
 from rpod_pose.navigation.dynamics.manoeuvre import explaining, followed, is_expected
+from rpod_pose.navigation.dynamics.slewing import Met, chosen
 from rpod_pose.navigation.dynamics.steady import decided
 from rpod_pose.navigation.dynamics.unseen import with_unseen
 from rpod_pose.navigation.filter import FilterState, Update, predict
@@ -146,6 +147,24 @@ def _applied(
 ) -> Step:
     """Return the step with a measurement.
 
+    If the model of motion assumes that the chaser holds its attitude, another filter is beside the track.
+    """
+    step, met = _stepped(measurement, before, predicted, config)
+    if before.model is None or not measurement.alone:
+        return step
+
+    def advance(earlier: FilterState, there: FilterState) -> FilterState:
+        return _stepped(measurement, earlier, there, config)[0].outcome.state
+
+    state = chosen(before, step.outcome.state, Met(measurement, met.innovation, config), advance)
+    return replace(step, outcome=step.outcome._replace(state=state))
+
+
+def _stepped(
+    measurement: PoseMeasurement, before: FilterState, predicted: FilterState, config: FilterConfig
+) -> tuple[Step, Update]:
+    """Return the step of one filter with a measurement, and the update as the prediction met it.
+
     A pose that its frame alone proves may need larger accelerations than configured; then they are assumed.
     """
     outcome = updated(predicted, measurement, config)
@@ -161,4 +180,4 @@ def _applied(
         after = followed(before, predicted, outcome, measurement, config)
         after = with_unseen(before, after, outcome.innovation, config)
         outcome = outcome._replace(state=decided(before, after, met, measurement, config))
-    return Step(measurement, predicted, outcome)
+    return Step(measurement, predicted, outcome), met

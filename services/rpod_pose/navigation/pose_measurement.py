@@ -206,6 +206,11 @@ def is_of_sensor(block: str) -> bool:
     return block.startswith((MOUNT.format(""), _CALIBRATION.format("")))
 
 
+def calibration_of(sensor: str) -> str:
+    """Return the name of the block with the error of a sensor's calibration."""
+    return _CALIBRATION.format(sensor)
+
+
 def mount_of(sensor: str, config: FilterConfig) -> Block:
     """Return the block of the error of a sensor's mount at its initial value, zero."""
     sigma = np.repeat([config.mount_sigma_m, radians(config.mount_sigma_deg)], 3)

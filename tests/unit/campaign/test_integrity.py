@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 from rpod.scenarios import find
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.trial.targets import cached_target
-from rpod_campaign.integrity.campaign import sizes_of
+from rpod_campaign.integrity.campaign import cells, sizes_of
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
-from rpod_campaign.integrity.faults import BY_NAME, Injector, TurnedTracker
+from rpod_campaign.integrity.faults import BY_NAME, Injector, TurnedTracker, model_of
+from rpod_campaign.integrity.options import Options
 from rpod_campaign.integrity.report import poisson_interval, sections, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_campaign.sequences.cells import document_of
@@ -42,6 +43,36 @@ def test_a_drift_of_ranges_lengthens_returns_along_their_rays_and_nothing_else()
 def test_both_sensors_have_the_middle_size_of_each_fault():
     assert sizes_of("clock_behind", "both") == (0.05,)
     assert sizes_of("clock_behind", "lidar") == (0.01, 0.05, 0.2)
+
+
+def test_a_wrong_target_is_a_part_or_another_body_as_large_or_another_shape():
+    names = [model_of("mockup", "wrong_target", size) for size in BY_NAME["wrong_target"].sizes]
+    assert names == ["hexagonal-body", "random-report-7-2-small@scale=-33%", "mockup@off=94mm"]
+    assert model_of("hexagonal-body", "wrong_target", 1.0) == "mockup"
+    assert sizes_of("wrong_target", "both") == (2.0,)
+
+
+def test_a_camera_at_another_rate_is_asked_for_and_counts_its_frames():
+    asked = cells(Options(sensor=("lidar",), fault=("none",), rate=45.0))
+    assert [each.camera_hz for each in asked] == [45.0]
+    table = pl.DataFrame(
+        rows(["nominal"] * 90, error_deg=[0.1] * 90, faulty_from=90), schema=SCHEMA | {"trial": pl.Int64}
+    )
+    hours = [
+        summarise(IntegrityCell("none", 0.0, "mockup", "pmd", camera_hz=rate), table)["nominal_hours"]
+        for rate in (15.0, 45.0)
+    ]
+    assert hours == pytest.approx([6.0 / 3600.0, 2.0 / 3600.0])
+
+
+def test_the_summary_of_a_cell_has_the_documented_keys():
+    table = pl.DataFrame(rows(["nominal"] * 3, error_deg=[0.1] * 3), schema=SCHEMA | {"trial": pl.Int64})
+    found = summarise(IntegrityCell("none", 0.0, "mockup", "lidar"), table)
+    assert found.keys() >= {
+        "fault", "target", "sensor", "frames", "misleading", "alerted_share", "time_to_alert_s",
+        "false_alerts_per_hour", "availability", "nees_mean", "nees_share_in_95",
+    }  # fmt: skip
+    assert found["time_to_alert_s"].keys() == {"p50", "p99"}
 
 
 def test_beside_a_camera_the_lidars_window_holds_the_whole_target():

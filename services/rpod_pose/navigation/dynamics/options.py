@@ -15,11 +15,15 @@ from rpod_pose.navigation.dynamics.free_motion import (
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
+from rpod_pose.navigation.dynamics.slewing import turns
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Target
+
+CHASER_TURNS = "chaser_turns"
+"""Name in the status's evidence for a chaser that turns although a held attitude was assumed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +67,11 @@ def evidence_of(state: FilterState) -> dict[str, float]:
     """Return norm and largest standard deviation of each block of further states, by name, for the status.
 
     If the target moves more than the filter expects, the factors on the densities of accelerations are
-    included.
+    included. ``CHASER_TURNS`` is 1 while the chaser turns although a held attitude was assumed.
     """
     places, found = state.places(), {}
+    if turns(state):
+        found[CHASER_TURNS] = 1.0
     if (factors := state.factors) != CALM:
         found["acceleration_factor"] = factors.acceleration
         found["angular_acceleration_factor"] = factors.angular
@@ -123,7 +129,7 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
         ""
         if imu is not None
         else f"dynamics: the chaser is assumed to hold its attitude {held}; if it turns, "
-        "the estimates are worse than their covariance: set dynamics.imu"
+        "the track goes on at a constant rate and bridges no gap: set dynamics.imu"
     )
     return Dynamics(model, tuple(blocks), imu, assumption)
 

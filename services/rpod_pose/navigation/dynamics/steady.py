@@ -27,7 +27,7 @@ from rpod_pose.navigation.filter import CALM, FilterState, Innovation, Steady, U
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, updated
 from rpod_schemas.config.estimator.filter import FilterConfig
 
-_LEAST = float(np.finfo(float).tiny)
+LEAST = float(np.finfo(float).tiny)
 """Least probability of a refusal by chance. Numerics: its logarithm is finite."""
 
 
@@ -51,9 +51,9 @@ def decided(
     steady = before.steady
     predicted = predict(steady.state, measured.stamp_ns, config)
     found = updated(predicted, measured, config)
-    log_odds = steady.log_odds + _log_density(found.innovation) - _log_density(met.innovation)
+    log_odds = steady.log_odds + log_density(found.innovation) - log_density(met.innovation)
     beside = followed(steady.state, predicted, found, measured, config) if found.accepted else steady.state
-    limit = -log(max(chdtrc(after.alike.dof, gate_nis(after, config)), _LEAST))
+    limit = -log(max(chdtrc(after.alike.dof, gate_nis(after, config)), LEAST))
     if found.accepted and log_odds > (0.0 if after.manoeuvre == CALM else limit):
         return beside
     if after.manoeuvre == CALM:
@@ -64,7 +64,7 @@ def decided(
     return replace(after, steady=replace(steady, state=beside, log_odds=log_odds))
 
 
-def _log_density(found: Innovation) -> float:
+def log_density(found: Innovation) -> float:
     """Return the logarithm of the normal density of an innovation, without the constant."""
     _, volume = np.linalg.slogdet(found.covariance)
     y = found.difference

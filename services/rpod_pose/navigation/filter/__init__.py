@@ -47,7 +47,9 @@ from rpod_pose.navigation.filter.state import (
     FilterState,
     InnovationSum,
     Manoeuvre,
+    Motion,
     MotionModel,
+    Other,
     Steady,
 )
 
@@ -68,7 +70,9 @@ __all__ = [
     "Innovation",
     "InnovationSum",
     "Manoeuvre",
+    "Motion",
     "MotionModel",
+    "Other",
     "Sensitivities",
     "StampOrderError",
     "Steady",

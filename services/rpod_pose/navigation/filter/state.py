@@ -131,6 +131,18 @@ class Steady:
 
 
 @dataclass(frozen=True, eq=False)
+class Other:
+    """A filter beside a track, with another assumption about the chaser's attitude (``dynamics/slewing``)."""
+
+    state: "FilterState"
+    """State after the last measurement."""
+    since_ns: int
+    """Stamp at which it began beside the track."""
+    log_odds: float = 0.0
+    """Log odds of the poses between this filter and the track."""
+
+
+@dataclass(frozen=True, eq=False)
 class FilterState:
     """State of the filter at one time."""
 
@@ -162,6 +174,8 @@ class FilterState:
     """Sums of the innovations of position and of attitude, in which a lag is detected."""
     steady: Steady | None = None
     """Filter without the acceleration that a refused pose may show; None while there was none."""
+    other: Other | None = None
+    """Filter with the other assumption about the chaser's attitude; None if there is none."""
 
     @property
     def size(self) -> int:

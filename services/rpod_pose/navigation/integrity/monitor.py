@@ -20,6 +20,7 @@ from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.history import Step, after
+from rpod_pose.navigation.integrity.clocks import Pair, clock_of_mounts, clock_test
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
@@ -30,7 +31,7 @@ from rpod_pose.navigation.integrity.levels import (
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.integrity.older import older_solutions
-from rpod_pose.navigation.integrity.refused import refused_solutions
+from rpod_pose.navigation.integrity.refused import refused_solutions, turning_solutions
 from rpod_pose.navigation.integrity.residuals import (
     Statistic,
     residual_of,
@@ -194,9 +195,16 @@ class Monitor:
                 if memory.without[name].stamp_ns <= estimate.stamp_ns
             ]
             if len(there) == 2:
+                if len(memory.without) == 2:
+                    test, late = clock_test(Pair(one, other), *there, estimate=estimate, config=self._config)
+                    tests.append(test)
+                    evidence |= late
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
-            tests.append(Statistic(offset.describe(), offset.excess(self._config), 6, WRONG_ONE_UNKNOWN))
+            cause = clock_of_mounts(offset, estimate)
+            tests.append(
+                Statistic(offset.describe(), offset.excess(self._config), 6, cause + WRONG_ONE_UNKNOWN)
+            )
             evidence |= offset.evidence
         return tests, evidence
 
@@ -237,6 +245,7 @@ class Monitor:
         assert state.history is not None  # noqa: S101 - guaranteed by the caller
         solutions += older_solutions(state.history, estimate, self._filter, self._tuning)
         solutions += refused_solutions(state.history, share)
+        solutions += turning_solutions(estimate, self._filter, share)
         solutions += self._rivals(output, estimate)
         shifts = shifts_of(estimate, memory.sized, self._filter)
         other_sizes, between = memory.frames.size_solutions(

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from rpod_pose.navigation.filter import FilterState
-from rpod_pose.navigation.pose_measurement import MOUNT
+from rpod_pose.navigation.pose_measurement import MOUNT, calibration_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 
@@ -35,6 +35,8 @@ class MountOffset:
     """(dp, dtheta), m and rad, shape (6,)."""
     covariance: FloatArray
     """Covariance of it, shape (6, 6)."""
+    biased: tuple[str, ...] = ()
+    """Those of the two sensors whose distances may be wrong by a bias that lasts."""
 
     @property
     def evidence(self) -> dict[str, float]:
@@ -56,9 +58,11 @@ class MountOffset:
         angle_deg, length_m = np.rad2deg(np.linalg.norm(self.error[3:])), np.linalg.norm(self.error[:3])
         sigma = np.sqrt(np.diag(self.covariance))
         sigma_deg, sigma_m = np.rad2deg(sigma[3:].max()), sigma[:3].max()
+        of_both = " and ".join(self.biased)
+        bias = f", with the bias of the distances of {of_both}, of which it cannot be told" if of_both else ""
         return (
             f"the mounts of {self.one} and {self.other} disagree by {angle_deg:.2f} deg "
-            f"(sigma {sigma_deg:.2f}) and {1e3 * length_m:.0f} mm (sigma {1e3 * sigma_m:.0f})"
+            f"(sigma {sigma_deg:.2f}) and {1e3 * length_m:.0f} mm (sigma {1e3 * sigma_m:.0f}){bias}"
         )
 
 
@@ -72,5 +76,6 @@ def mount_offsets(state: FilterState, sensors: Iterable[str]) -> list[MountOffse
         difference[:, places[MOUNT.format(other)]] = np.eye(6)
         difference[:, places[MOUNT.format(one)]] = -np.eye(6)
         error = values[MOUNT.format(other)] - values[MOUNT.format(one)]
-        found.append(MountOffset(one, other, error, difference @ state.covariance @ difference.T))
+        biased = tuple(name for name in (one, other) if calibration_of(name) in places)
+        found.append(MountOffset(one, other, error, difference @ state.covariance @ difference.T, biased))
     return found

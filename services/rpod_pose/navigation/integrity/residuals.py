@@ -21,7 +21,7 @@ from rpod_pose.navigation.integrity.levels import chi2_limit
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 
-_EXPLAINED = 0.5
+EXPLAINED = 0.5
 """Least share of a bias that a clock must explain to be named as the cause. Hand: more than all other causes
 together."""
 
@@ -115,7 +115,7 @@ def residual_tests(
         sigma_s = information**-0.5
         evidence = {f"{sensor}_stamps_late_s": offset_s, f"{sensor}_stamps_late_sigma_s": sigma_s}
         share = offset_s**2 * information / bias if bias else 0.0
-        if share > _EXPLAINED:
+        if share > EXPLAINED:
             cause = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain {share:.0%}"
     size = Statistic(
         f"{sensor}: size of its residuals", periods * float((z**2).sum(axis=1).mean()), dof * periods, cause

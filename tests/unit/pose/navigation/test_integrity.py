@@ -235,6 +235,39 @@ def test_two_sensors_that_differ_by_more_than_their_covariances_are_an_alert(tra
     assert IntegrityState.ALERT not in fine
 
 
+def spin(time_s):
+    """Return T_chaser_target of a calm spin at 8 deg/s."""
+    turn = Rotation.from_rotvec([np.deg2rad(8.0) * time_s, 0.0, 0.0])
+    return make_pose(rotation=turn, translation_m=(0.0, 0.0, 6.0))
+
+
+@pytest.mark.parametrize("late_s", [0.05, -0.05, 0.0])
+def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_and_mount(late_s, monkeypatch):
+    monkeypatch.setitem(globals(), "truth", spin)
+    stated = {"attitude_floor_deg": 0.0, "position_floor_m": 0.0, "correlation_inflation": 1.0}
+    config = CONFIG.model_copy(update=stated)
+    settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=config)
+    track = Track(Monitor(settings), np.random.default_rng(7), config=config)
+    off = spin(0.0).inv() * spin(-late_s)
+    told = []
+    for k in range(100):
+        track.measure(0.1 * k + 0.05, sensor="lidar")
+        told.append(track.measure(0.1 * k + 0.1, off=off))
+    if not late_s:
+        assert IntegrityState.ALERT not in {each.state for each in told}
+        return
+    alerts = [each for each in told if each.state is IntegrityState.ALERT]
+    assert len(alerts) > 20
+    found = re.search(r"differ by ([.\d]+) deg .*: mounts, or the stamps of pmd are (\d+) \+- (\d+) ms (\w+) "
+                      r"against those of lidar", alerts[-1].reason)  # fmt: skip
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.4, abs=0.1)
+    assert float(found[2]) == pytest.approx(50.0, abs=4.0 * float(found[3]))
+    sigma_s = alerts[-1].evidence["pmd_against_lidar_stamps_late_sigma_s"]
+    assert alerts[-1].evidence["pmd_against_lidar_stamps_late_s"] == pytest.approx(late_s, abs=4.0 * sigma_s)
+    assert found[4] == ("late" if late_s > 0.0 else "early")
+
+
 def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
     state = start(truth(0.0), 1e-2 * COVARIANCE, START_NS, config=CONFIG)
     state = replace(

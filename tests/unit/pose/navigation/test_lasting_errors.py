@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.navigation.filter import POSE, TWIST, FilterState, predict
+from rpod_pose.navigation.integrity.clocks import clock_of_mounts
 from rpod_pose.navigation.integrity.mounts import mount_offsets
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement, shared_errors, started, updated
 from rpod_pose.pose_evidence import ErrorParts
@@ -133,9 +134,11 @@ def as_stated(pose: RigidTransform, error: FloatArray, mount: RigidTransform) ->
     return stated * mount.inv() * pose
 
 
-@pytest.fixture(scope="module")
-def tracked() -> tuple[FilterState, FloatArray]:
-    """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount."""
+def followed(bias_m: float) -> tuple[FilterState, FloatArray]:
+    """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount.
+
+    The camera's distances may have a bias of a standard deviation.
+    """
     rng = np.random.default_rng(4)
     error = np.concatenate([[0.012, -0.016, 0.0], np.radians([0.18, 0.0, 0.24])])
 
@@ -145,20 +148,53 @@ def tracked() -> tuple[FilterState, FloatArray]:
         return make_pose(rotation=turn, translation_m=pose.translation + off[:3])
 
     no_parts = ErrorParts.lasting_model(diagonal(1e-3, 1e-3), np.zeros((6, 6)))
+    along = np.diag([0.0, 0.0, bias_m**2, 0.0, 0.0, 0.0])
+    seen = (
+        ("lidar", BESIDE, np.zeros(6), no_parts),
+        ("pmd", FRONT, error, replace(no_parts, of_sensor=along)),
+    )
     state = None
     for stamp_s in np.arange(0.0, 30.0, 0.5):
         stamp_ns, truth = round(stamp_s * SECOND_NS), target(stamp_s)
-        for sensor, mount, off in (("lidar", BESIDE, np.zeros(6)), ("pmd", FRONT, error)):
+        for sensor, mount, off, parts in seen:
             pose = noisy(as_stated(truth, off, mount))
             # the stated mount is what the pose was computed with
             stated = as_stated(mount, off, mount)
-            each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, no_parts))
+            each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, parts))
             if state is None:
                 state = started(each, config=MOUNTS)
             else:
                 state = updated(predict(state, stamp_ns, MOUNTS), each, MOUNTS).state
     assert state is not None
     return state, error
+
+
+@pytest.fixture(scope="module")
+def tracked() -> tuple[FilterState, FloatArray]:
+    return followed(0.0)
+
+
+def test_a_mount_along_the_boresight_is_not_told_from_a_bias_of_depth():
+    """A camera that is not calibrated beside a LIDAR."""
+    bias_m = 0.04
+    state, _ = followed(bias_m)
+    (offset,) = mount_offsets(state, ["lidar", "pmd"])
+    places = state.places()
+    boresight = FRONT.rotation.as_matrix()[:, 2]
+    mount, other = (np.zeros(state.size), np.zeros(state.size))
+    mount[places["mount of pmd"]][:3] = boresight
+    mount[places["mount of lidar"]][:3] = -boresight
+    other[places["calibration of pmd"]][2] = bias_m
+    sigma = [np.sqrt(each @ state.covariance @ each) for each in (mount, other)]
+    prior_m = 0.02 * np.sqrt(2.0)
+    assert sigma[0] == pytest.approx(prior_m * bias_m / np.hypot(prior_m, bias_m), rel=0.05)
+    assert sigma[1] == pytest.approx(bias_m)
+    # of both together, the mount gets the share that its prior has
+    share = prior_m**2 / (prior_m**2 + bias_m**2)
+    assert mount @ state.covariance @ other == pytest.approx(-share * bias_m**2, rel=0.05)
+    across = FRONT.rotation.as_matrix()[:, 0]
+    assert np.sqrt(across @ offset.covariance[:3, :3] @ across) < 3e-3
+    assert "with the bias of the distances of pmd, of which it cannot be told" in offset.describe()
 
 
 def test_the_offset_between_two_mounts_is_found_with_its_sigma(tracked: tuple[FilterState, FloatArray]):
@@ -189,6 +225,19 @@ def test_an_offset_is_too_large_only_where_the_mounts_are_declared_better(
     config = IntegrityConfig(mount_sigma_deg=declared_deg, mount_sigma_m=declared_m)
     assert (offset.excess(config) > 38.3) is fails  # chi squared of 6 degrees of freedom at 1e-6
     assert offset.describe().startswith("the mounts of lidar and pmd disagree by 0.3")
+
+
+def test_an_offset_between_mounts_that_late_stamps_explain_says_so(tracked: tuple[FilterState, FloatArray]):
+    """Of an offset about the axis of the rate, nothing tells whether a mount or a clock is wrong."""
+    state, _ = tracked
+    (offset,) = mount_offsets(state, ["lidar", "pmd"])
+    assert clock_of_mounts(offset, state) == ""
+    late_s = 0.05
+    moved = -late_s * np.concatenate([state.velocity_m_s, state.rate_rad_s])
+    moved[:3] -= np.cross(moved[3:], state.T_chaser_target.translation)
+    text = clock_of_mounts(replace(offset, error=moved), state)
+    assert text.startswith(", or the stamps of pmd are 50 +- ")
+    assert text.endswith("ms late against those of lidar")
 
 
 def test_one_sensor_tells_no_offset_and_keeps_the_whole_uncertainty_of_its_mount():

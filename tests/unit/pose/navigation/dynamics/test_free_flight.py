@@ -8,7 +8,9 @@ import pytest
 from free_flight.course import AT_THEIR_WORD, Course, fly
 from rpod_motion.imu import Imu
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
-from rpod_pose.navigation.dynamics.options import Dynamics, evidence_of
+from rpod_pose.navigation.dynamics.options import CHASER_TURNS, Dynamics, evidence_of
+from rpod_pose.navigation.dynamics.slewing import turns
+from rpod_pose.navigation.integrity.refused import turning_solutions
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.motion import ImuNoiseConfig
@@ -67,6 +69,40 @@ def test_a_slew_costs_nothing_with_the_gyro_whose_bias_is_a_state():
     off = slewing.state.blocks[-1].value - slewing.imu.gyro_bias_rad_s
     assert (np.abs(off) < 4.0 * sigmas(slewing.state, GYRO_BIAS)).all()
     assert sigmas(slewing.state, GYRO_BIAS).min() < 0.9 * np.radians(0.003)
+
+
+def test_a_slew_without_a_gyro_is_survived_and_told():
+    """Worst errors without the model of decision 154: more than 20 deg, or the target is lost."""
+    course = replace(SCANS, slews=True, gap_s=0.0, filter=AT_THEIR_WORD)
+    slewing = fly(course, 2)
+    assert turns(slewing.state)
+    assert evidence_of(slewing.state)[CHASER_TURNS] == 1.0
+    assert slewing.worst_deg < 3.0
+    assert slewing.tracked_deg < 0.4
+    assert 1.0 < slewing.tracked_nees < 12.0
+    assert not turns(fly(replace(course, slews=False), 2).state)
+
+
+def test_a_level_contains_the_estimate_of_a_chaser_that_turns_before_this_is_known():
+    """Until the poses decide, the track and the filter beside it may both be right."""
+    track = fly(replace(CAMERA, slews=True, tracked_s=5.0, gap_s=0.0, filter=AT_THEIR_WORD), 1).state
+    assert not turns(track)
+    (found,) = turning_solutions(track, AT_THEIR_WORD, 1e-4)
+    assert np.degrees(np.linalg.norm(found.separation[3:])) > 0.05
+    assert 1e-4 / (1.0 + 1e-4) <= found.probability < 1.0
+    likely = replace(track, other=replace(track.other, log_odds=12.0))
+    assert turning_solutions(likely, AT_THEIR_WORD, 1e-4)[0].probability > 0.9
+    assert turning_solutions(replace(track, other=None), AT_THEIR_WORD, 1e-4) == []
+
+
+def test_a_chaser_that_holds_its_attitude_again_bridges_gaps_again():
+    """It slews once, and then holds the new attitude: the model of a held attitude returns."""
+    found = fly(
+        replace(CAMERA, rate_deg_s=5.0, slews=True, holds_again=True, tracked_s=90.0, scans_hz=1.0), 1
+    )
+    assert not turns(found.state)
+    assert found.attitude_deg < 0.5
+    assert found.worst_deg < 3.0
 
 
 def test_thrust_that_is_measured_is_not_noise():

@@ -1,0 +1,169 @@
+"""A chaser that turns although nothing measures it: a held attitude is given up, and assumed again later.
+
+Without ``chaser/imu`` a chaser is assumed to hold its attitude (``chaser.Held``). Before a chaser that slews,
+Euler's equations and those of the orbit do not hold in its axes, and the models state their own noise, which
+no factor raises. So a track would be lost, or wrong by many times its covariance.
+
+A second filter continues beside such a track, with a constant rate as seen from the chaser and the densities
+of the configuration. It follows a slew. Each filter states the density of a pose before it uses this pose.
+The logarithm of the ratio is added up, and may not fall below zero: Page's test for a change at an unknown
+time (E. S. Page, Continuous inspection schemes, Biometrika 41, 1954). Beyond its limit, the chaser has
+turned, and the second filter is the track.
+
+A chaser that stops may be assumed to hold its attitude again. So the model with the held attitude begins anew
+beside the track, from the track's state and the priors of its further states, as often as poses contradict
+it. It is the track again when it was beside for ``HELD_S``, and the poses favour it beyond the same limit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import log
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from rpod_pose.navigation.dynamics.chaser import Held
+from rpod_pose.navigation.dynamics.free_motion import STATES, FreeMotion
+from rpod_pose.navigation.dynamics.steady import LEAST, log_density
+from rpod_pose.navigation.filter import (
+    CALM,
+    NO_INNOVATIONS,
+    POSE,
+    TWIST,
+    Block,
+    FilterState,
+    Innovation,
+    Motion,
+    Other,
+    gate_nis,
+    grown,
+    predict,
+)
+from rpod_pose.navigation.filter.blocks import unknown
+from rpod_pose.navigation.filter.prediction import constant_twist
+from rpod_pose.navigation.filter.rotations import cross_matrix
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
+from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.messages import NANOSECONDS
+
+HELD_S = 60.0
+"""Time for which a chaser must have held its attitude until this is assumed again, s. Physics: a slew by 60
+deg at 1 deg/s; while its rate is constant, poses contradict a held attitude but slowly."""
+TURNS = "the chaser turns without a known rate, so that no gap is bridged (set dynamics.imu)"
+"""What an operator is told about a track whose chaser turns."""
+_REFUSALS = 3.0
+"""Number of right poses that the gate refuses by chance in succession as rarely as the filters are exchanged
+by chance. Physics: a millionth of the frames, which is once in six hours at 45 Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """Model of motion (``MotionModel``) while the chaser turns, as poses have shown: a constant rate.
+
+    Rates are those as seen from the chaser, with the densities of the configuration.
+    """
+
+    held: FreeMotion
+    """The model that assumes a held attitude."""
+    blocks: tuple[Block, ...]
+    """Its further states before any measurement."""
+
+    @property
+    def states_noise(self) -> tuple[bool, bool]:
+        """Whether it states the noise itself: it does not."""
+        return False, False
+
+    def __call__(self, state: FilterState, step_s: float, config: FilterConfig) -> Motion:
+        """Return the motion of a state in a step.
+
+        An angular acceleration of the chaser also moves the target's origin, by more the farther it is. A
+        density of accelerations below the default is that of free flight, which turning axes do not show.
+        """
+        least = FilterConfig().acceleration_density_m2_s3
+        if config.acceleration_density_m2_s3 < least:
+            config = config.model_copy(update={"acceleration_density_m2_s3": least})
+        motion = constant_twist(state, step_s, config)
+        by = np.vstack([cross_matrix(motion.state.T_chaser_target.translation), -np.eye(3)])
+        density = config.angular_acceleration_density_rad2_s3 * by @ by.T
+        motion.noise[POSE, POSE] += step_s**3 / 3.0 * density
+        motion.noise[POSE, TWIST] += step_s**2 / 2.0 * density
+        motion.noise[TWIST, POSE] += step_s**2 / 2.0 * density
+        motion.noise[TWIST, TWIST] += step_s * density
+        return motion
+
+
+def turns(state: FilterState) -> bool:
+    """Return whether the chaser has turned although its attitude was assumed to be held."""
+    return isinstance(state.model, Turning)
+
+
+class Met(NamedTuple):
+    """A pose, and how a track predicted it."""
+
+    measured: PoseMeasurement
+    innovation: Innovation
+    """Innovation before the pose raised any factor."""
+    config: FilterConfig
+
+
+def chosen(
+    before: FilterState,
+    after: FilterState,
+    met: Met,
+    advance: Callable[[FilterState, FilterState], FilterState],
+) -> FilterState:
+    """Return the state after a pose: of the track, or of the filter beside it if poses favour that.
+
+    Args:
+        before: the state after the previous measurement.
+        after: the state of the track after the pose, accepted or not.
+        met: the pose.
+        advance: gives the state of a filter after the pose, from its state before and its prediction.
+    """
+    other, stamp_ns = before.other or _beside(before), met.measured.stamp_ns
+    if other is None:
+        return after
+    predicted = predict(other.state, stamp_ns, met.config)
+    found = compared(predicted, met.measured, met.config)
+    if not (np.isfinite(found.covariance).all() and np.isfinite(found.difference).all()):
+        return replace(after, other=other)
+    state = advance(other.state, predicted)
+    odds = other.log_odds + log_density(found) - _of_track(before, met)
+    limit = -_REFUSALS * log(max(chdtrc(after.alike.dof, gate_nis(after, met.config)), LEAST))
+    wins = odds > limit
+    if turns(before):
+        wins = wins and stamp_ns - other.since_ns > HELD_S * NANOSECONDS
+        if odds < -limit:  # the chaser does not hold its attitude yet
+            return replace(after, other=None)
+    else:
+        odds = max(odds, 0.0)
+    return replace(state, other=None) if wins else replace(after, other=Other(state, other.since_ns, odds))
+
+
+def _beside(state: FilterState) -> Other | None:
+    """Return the filter with the other assumption about the chaser at a state; None if there is none."""
+    model = state.model
+    state = replace(
+        state, manoeuvre=CALM, lag=CALM, sums=(NO_INNOVATIONS, NO_INNOVATIONS), steady=None, other=None
+    )
+    if isinstance(model, Turning):
+        return Other(grown(replace(state, model=model.held), model.blocks), state.stamp_ns)
+    if not isinstance(model, FreeMotion) or not isinstance(model.chaser, Held) or not any(model.states_noise):
+        return None
+    own = tuple(block for block in state.blocks if block.name in STATES)
+    for block in own:
+        state = state.without(block.name)
+    return Other(replace(state, model=Turning(model, unknown(own))), state.stamp_ns)
+
+
+def _of_track(before: FilterState, met: Met) -> float:
+    """Return the logarithm of the density of a pose by a track, or by the filter without its acceleration.
+
+    After a refusal by chance, the accelerations of the track alone are raised for some poses.
+    """
+    density = log_density(met.innovation)
+    if before.steady is None:
+        return density
+    steady = predict(before.steady.state, met.measured.stamp_ns, met.config)
+    return max(density, log_density(compared(steady, met.measured, met.config)))
