@@ -150,6 +150,8 @@ class Frame:
     integrity: dict[str, Any] | None = None
     """State, reason, levels and limits; None for an estimator that tells none."""
     latency_s: float = 0.06
+    again_s: float | None = None
+    """Time from the stamp to another publication of the estimate; None for none."""
     processing_s: float = 0.03
     evidence: dict[str, float] = field(default_factory=dict)
 
@@ -321,6 +323,8 @@ class _LogWriter:
             )
             odometry = _odometry(stamp_ns, TARGET_ESTIMATE, T_CHASER_SENSOR * wrong, frame.covariance)
             self.put(ESTIMATE, stamp_ns, write_odometry(odometry), delay_s=frame.latency_s)
+            if frame.again_s is not None:
+                self.put(ESTIMATE, stamp_ns, write_odometry(odometry), delay_s=frame.again_s)
             self.put(ESTIMATE_POSE, stamp_ns, write_pose_stamped(odometry), delay_s=frame.latency_s)
             for name, pose in self.run.frames.items():
                 message = write_pose_stamped(odometry, T_child_frame=pose)

@@ -335,7 +335,7 @@ class Summary(Config):
     joint_errors: dict[str, ErrorSize] = Field(default_factory=dict)
     """Errors of the angles of the target's joints while tracked, deg, by name."""
     latency_s: Durations | None
-    """Times from stamp to publication of the estimates, s."""
+    """Times from the stamps of the estimates to the first publication at each stamp, s."""
     processing_s: Durations | None
     """Times from the arrival of a frame's last part to publication, s."""
     consistency: Consistency | None

@@ -42,12 +42,18 @@ def lines_of(lower: FloatArray, upper: FloatArray) -> Lines:
 
     Each entry also covers its neighbours, so that rounding does no harm.
     """
+    return finer_lines_of(lower, upper, PER_LINE)
+
+
+@inner_kernel
+def finer_lines_of(lower: FloatArray, upper: FloatArray, per_line: int) -> Lines:
+    """Return ``lines_of`` with ``per_line`` entries of the table for each line; bounds of shape (lines,)."""
     count = lower.size
     start, width = 0.0, upper[count - 1] - lower[0] if count else 0.0
     if not 0.0 < width < np.inf:
         first, last = np.zeros(4, np.int32), np.full(4, count, np.int32)
         return Lines(lower, upper, first, last, start, 0.0, np.inf)
-    start, entries = lower[0], PER_LINE * count
+    start, entries = lower[0], per_line * count
     first, last = np.zeros(entries + 4, np.int32), np.full(entries + 4, count, np.int32)
     i, j = 0, 0
     for n in range(entries + 1):

@@ -82,8 +82,9 @@ class Run:
     covariance: FloatArray
     """Covariance of (dp, dtheta) in chaser axes, shape (N, 6, 6)."""
     latency_s: FloatArray
-    """Time from stamp to publication of the estimates, shape (N,); NaN if the run does not use the wall
-    clock."""
+    """Time from the estimates' stamps to the first publication at each stamp, shape (N,); NaN if the run does
+    not use the wall clock. A late frame of another sensor improves the newest estimate, which is published
+    again at its stamp."""
     tracked: BoolArray
     """Whether an estimate's frame was in TRACKING or COASTING, shape (N,)."""
     sensor_of: NDArray[np.str_]
@@ -188,7 +189,8 @@ class StreamedRun:
             R_chaser_sensor=R_chaser_sensor,
             alike=self._alike,
         )
-        delay_ns = np.array([row[3] for row in estimate_rows], np.int64) - estimates.stamp_ns
+        first = np.searchsorted(estimates.stamp_ns, estimates.stamp_ns)  # rows are in the order of stamps
+        delay_ns = np.array([row[3] for row in estimate_rows], np.int64)[first] - estimates.stamp_ns
         return Run(
             start_ns=self.start_ns,
             end_ns=self.end_ns,

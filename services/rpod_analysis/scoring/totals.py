@@ -163,7 +163,7 @@ class RunTotals:
         self.dof = run.errors.nees_dof
         self.estimates += len(run.estimates)
         self.unscored += int((~run.errors.scored).sum())
-        self.latency_s.extend(run.latency_s)
+        self.latency_s.extend(run.latency_s[np.unique(run.estimates.stamp_ns, return_index=True)[1]])
         self.processing_s.extend(run.statuses.processing_s)
         self.nis.extend(run.statuses.nis)
         self.integrity.take(run.integrity, run.estimates.stamp_ns, run.errors)

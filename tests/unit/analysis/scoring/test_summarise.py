@@ -83,6 +83,13 @@ def test_latency_is_from_the_stamp_to_the_publication(tmp_path):
     assert summary.latency_s.max == pytest.approx(0.2)
 
 
+def test_latency_is_to_the_first_estimate_where_a_late_frame_improves_it(tmp_path):
+    summary = summary_of(tmp_path, frame=lambda _k, _: Frame(latency_s=0.05, again_s=0.3))
+    assert summary.latency_s is not None
+    assert summary.latency_s.max == pytest.approx(0.05)
+    assert summary.estimates.count == 2 * 21
+
+
 def test_latency_is_null_where_the_clock_is_not_the_walls_and_processing_is_not(tmp_path):
     summary = summary_of(tmp_path, clock=True)
     assert summary.latency_s is None
