@@ -34,8 +34,8 @@ class Options(CampaignOptions):
     declared: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0,)
     """Tolerance that the model declares, over the true one; 1 is right."""
     mounts: Annotated[tuple[Literal["stated", "drawn"], ...], Field(min_length=1)] = ("stated",)
-    """Mounts that the sensors state: those of the scenario, or drawn in each trial with the filter's
-    standard deviations of mounts."""
+    """Mounts that the sensors publish: those of the scenario, or the true ones with a random error in each
+    trial. Its standard deviations are the filter's mount_sigma_deg and mount_sigma_m."""
     motion: Annotated[tuple[Literal["scenario", "driven"], ...], Field(min_length=1)] = ("scenario",)
     """Motion of the target: that of the scenario, or the same with white accelerations, whose densities are
     those of the filter."""

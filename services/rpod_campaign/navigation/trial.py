@@ -178,9 +178,8 @@ def misbuilt(cell: NavigationCell, target: Target, generator: Generator) -> Targ
     """Return the target that the sensors see."""
     if cell.misbuilt == "parts":
         return built(target, World(cad_error_m=1e-3 * cell.off_mm), generator)
-    off = Variation(
-        off=np.sqrt(3.0) * 1e-3 * cell.off_mm, seed=int(generator.integers(2**31))
-    )  # RMS distance
+    rms_m = np.sqrt(3.0) * 1e-3 * cell.off_mm
+    off = Variation(off=rms_m, seed=int(generator.integers(2**31)))
     (triangles_m,) = off.moved([target.triangles_m])
     return replace(target, triangles_m=triangles_m, normals=unit_normals(triangles_m))
 
