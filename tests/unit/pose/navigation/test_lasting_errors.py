@@ -228,7 +228,7 @@ def test_an_offset_is_too_large_only_where_the_mounts_are_declared_better(
 
 
 def test_an_offset_between_mounts_that_late_stamps_explain_says_so(tracked: tuple[FilterState, FloatArray]):
-    """Of an offset about the axis of the rate, nothing tells whether a mount or a clock is wrong."""
+    """A mount that is turned about the axis of the rate looks like late stamps: the text names both."""
     state, _ = tracked
     (offset,) = mount_offsets(state, ["lidar", "pmd"])
     assert clock_of_mounts(offset, state) == ""
