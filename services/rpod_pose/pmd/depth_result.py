@@ -1,7 +1,7 @@
 """Composition of a registration from the last iteration of a depth method: checks, cost and covariance."""
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from scipy.spatial.transform import RigidTransform
 
@@ -11,7 +11,7 @@ from rpod_pose.pmd.depth_view import DepthImage
 from rpod_pose.ports import Registration
 from rpod_pose.registration.normal_equations import NormalEquations
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.pmd.lengths import ResultLengths, relative_size
+from rpod_schemas.config.pmd.lengths import chosen, relative_size
 from rpod_schemas.config.pmd.methods import DepthComparisonConfig, DepthErrorConfig
 from rpod_schemas.types import Source
 from rpod_target import Target
@@ -36,8 +36,9 @@ class Progress:
 class ResultConfig(Protocol):
     """The parameters of a depth method's checks."""
 
-    def result_lengths(self, size: float) -> ResultLengths:
-        """Return the lengths of the checks for what is seen of a size relative to the mock-up, m."""
+    @property
+    def unsettled_m(self) -> float | None:
+        """Largest last step of iterations that count as converged, m; None if it follows from the size."""
         ...
 
     @property
@@ -56,6 +57,26 @@ class ResultConfig(Protocol):
         ...
 
 
+class ResultLengths(NamedTuple):
+    """Lengths of the checks of a depth method, m, and a limit of squares, m2."""
+
+    unsettled_m: float
+    """Motion in the last step above which the iterations did not converge."""
+    tolerance_m: float
+    """Largest difference of measured and rendered depth that agree."""
+    max_cost_m2: float
+    """Largest mean squared residual of the inliers."""
+
+    @classmethod
+    def of(cls, config: ResultConfig, size: float) -> "ResultLengths":
+        """Return the lengths for what is seen of a size relative to the mock-up."""
+        return cls(
+            unsettled_m=chosen(config.unsettled_m, 0.02 * size),
+            tolerance_m=chosen(config.comparison.tolerance_m, config.errors.tolerance_m(size)),
+            max_cost_m2=chosen(config.acceptance.max_cost_m2, config.errors.max_cost_m2(size)),
+        )
+
+
 def size_of(target: Target, image: DepthImage) -> float:
     """Return the size of what an image shows of a target, relative to the mock-up."""
     return relative_size(target.radius_m, image.median_m)
@@ -66,7 +87,7 @@ def registration_of(
 ) -> Registration:
     """Return the registration with cost, covariance and self-check, or the reason why there is no pose."""
     sums, T = progress.sums.without_turn(target.equivalence.free_axes), progress.T_sensor_target
-    reason, lengths = progress.reason, config.result_lengths(size_of(target, image))
+    reason, lengths = progress.reason, ResultLengths.of(config, size_of(target, image))
     if not reason and progress.step_m > lengths.unsettled_m:
         reason = (
             f"did not converge: the last of {progress.iterations} steps was {progress.step_m:.3f} m, "

@@ -7,7 +7,7 @@ image.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -194,7 +194,7 @@ class DepthImage:
         slopes = view.slopes[view.offset :: view.stride, view.offset :: view.stride].reshape(-1, 2)
         return np.column_stack((slopes[measured] * z[:, None], z))
 
-    @property
+    @cached_property
     def median_m(self) -> float:
         """Median depth of the coarse pixels; infinite if none has a depth."""
         measured = self.coarse_m[np.isfinite(self.coarse_m)]

@@ -30,17 +30,6 @@ def chosen(given: float | None, derived: float) -> float:
     return derived if given is None else given
 
 
-class ResultLengths(NamedTuple):
-    """Lengths of the checks of a depth method, m, and a limit of squares, m2."""
-
-    unsettled_m: float
-    """Motion in the last step above which the iterations did not converge."""
-    tolerance_m: float
-    """Largest difference of measured and rendered depth that agree."""
-    max_cost_m2: float
-    """Largest mean squared residual of the inliers."""
-
-
 class MatchLengths(NamedTuple):
     """Lengths of the ICP with reverse calibration, m."""
 

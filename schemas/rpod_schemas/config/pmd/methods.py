@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from rpod_schemas.config.acceptance import AcceptanceConfig
 from rpod_schemas.config.base import Config, NonNegative, Positive, Share
-from rpod_schemas.config.pmd.lengths import SIGMAS, MatchLengths, ResultLengths, chosen
+from rpod_schemas.config.pmd.lengths import SIGMAS, MatchLengths, chosen
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import BUDGET, BY_HAND, Tuning
 
@@ -126,12 +126,6 @@ class IcpReverseCalibrationConfig(MethodConfig):
             step_m=chosen(self.step_m, 0.002 * size),
         )
 
-    def result_lengths(self, size: float) -> ResultLengths:
-        """Return the lengths of the checks for what is seen of a relative size, m."""
-        tolerance_m = chosen(self.comparison.tolerance_m, self.errors.tolerance_m(size))
-        max_cost_m2 = chosen(self.acceptance.max_cost_m2, self.errors.max_cost_m2(size))
-        return ResultLengths(chosen(self.unsettled_m, 0.02 * size), tolerance_m, max_cost_m2)
-
 
 class SignedDistanceTuning(Tuning):
     """Steps, scales and limits of the tracker by signed distance."""
@@ -174,12 +168,6 @@ class SignedDistanceTuning(Tuning):
         last_m = chosen(self.final_scale_m, max(0.03 * size, self.errors.noise_m))
         first_m = chosen(self.scale_m, max(0.10 * size, last_m))
         return first_m, min(last_m, first_m)
-
-    def result_lengths(self, size: float) -> ResultLengths:
-        """Return the lengths of the checks for what is seen of a relative size, m."""
-        tolerance_m = chosen(self.comparison.tolerance_m, self.errors.tolerance_m(size))
-        max_cost_m2 = chosen(self.acceptance.max_cost_m2, self.errors.max_cost_m2(size))
-        return ResultLengths(chosen(self.unsettled_m, 0.02 * size), tolerance_m, max_cost_m2)
 
 
 class SignedDistanceConfig(MethodConfig):

@@ -10,7 +10,7 @@ import yaml
 from pmd_frames import depth_frame
 from scipy.spatial.transform import Rotation
 
-from rpod_pose.pmd.depth_result import size_of
+from rpod_pose.pmd.depth_result import ResultLengths, size_of
 from rpod_pose.pmd.depth_view import usable_image
 from rpod_pose.pmd.paper_2018.icp_reverse_calibration import ReverseCalibrationIcp
 from rpod_pose.pmd.signed_distance import SignedDistanceTracker
@@ -68,18 +68,18 @@ def test_the_lengths_of_the_mockup_are_those_of_its_campaigns():
     size = relative_size(mockup().radius_m, inf)
     assert size == 1.0
     assert IcpReverseCalibrationConfig().match_lengths(size) == (0.24, 0.15, 0.3, 0.002)
-    assert IcpReverseCalibrationConfig().result_lengths(size) == (0.02, 0.12, 0.003)
+    assert ResultLengths.of(IcpReverseCalibrationConfig(), size) == (0.02, 0.12, 0.003)
     assert SignedDistanceTuning().scales_m(size) == (0.10, 0.03)
-    assert SignedDistanceTuning().result_lengths(size) == (0.02, 0.12, 0.003)
+    assert ResultLengths.of(SignedDistanceTuning(), size) == (0.02, 0.12, 0.003)
     assert EpnpConfig().reaches_m(size) == (0.12, 0.12)
 
 
 def test_lengths_grow_with_the_body_and_never_fall_below_the_noise_of_the_depth():
     icp, signed = IcpReverseCalibrationConfig(), SignedDistanceTuning()
     assert icp.match_lengths(10.0) == pytest.approx((2.4, 1.5, 3.0, 0.02))
-    assert icp.result_lengths(10.0) == pytest.approx((0.2, 0.12, 0.3))  # the camera's errors do not grow
+    assert ResultLengths.of(icp, 10.0) == pytest.approx((0.2, 0.12, 0.3))  # the camera's errors do not grow
     assert icp.match_lengths(0.1).scale_m * icp.final_share == pytest.approx(icp.errors.noise_m)
-    assert icp.result_lengths(0.1) == pytest.approx((0.002, 0.06, 0.0004))
+    assert ResultLengths.of(icp, 0.1) == pytest.approx((0.002, 0.06, 0.0004))
     assert signed.scales_m(0.1) == (0.02, 0.02)
 
 
@@ -89,7 +89,7 @@ def test_given_lengths_are_kept():
         acceptance={"max_cost_m2": 0.7, "min_explained_share": 0.5},
     )  # fmt: skip
     assert icp.match_lengths(7.0) == (0.1, 0.2, 0.4, 0.01)
-    assert icp.result_lengths(7.0) == (0.05, 0.3, 0.7)
+    assert ResultLengths.of(icp, 7.0) == (0.05, 0.3, 0.7)
     assert SignedDistanceTuning(scale_m=0.2, final_scale_m=0.1).scales_m(7.0) == (0.2, 0.1)
 
 
