@@ -72,7 +72,9 @@ class Patch(NamedTuple):
     """The part of an amplitude image in which edges are searched."""
 
     image: Float32Array
-    """Smoothed amplitude, shape (rows, columns)."""
+    """Smoothed amplitude, clipped before it is smoothed, shape (rows, columns)."""
+    unclipped: Float32Array
+    """The same without the clip."""
     column: float
     """Column of its first pixel."""
     row: float

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_geometry.rays import NEAREST_M
-from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer, Shown
+from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer, Rendered, Shown
 from rpod_pose.pmd.joint.edge_search import (
     EdgeArrays,
     Lens,
@@ -43,6 +43,9 @@ from rpod_schemas.types import Float32Array
 STILL_PX = 0.5
 """Largest motion in the image after which a rendering is still valid. Physics: coarse rays that are half a
 pixel apart show the same parts."""
+ALIGNED_PX = 0.1
+"""Largest motion in the image after which edges are in the places of a rendering. Physics: the spread of
+clear edges at the true pose is 0.13 px."""
 OWN_PX = 1.0
 """Largest distance between an edge and its change in the rendering. Physics: the width of a pixel."""
 MERGED_PX = 1.7
@@ -247,18 +250,37 @@ class Sights:
 
     def __init__(self, edges: EdgeArrays, renderer: PatchRenderer, frame: JointFrame) -> None:
         self._edges, self._renderer, self._frame = edges, renderer, frame
-        self._known: list[EdgeSight] = []
+        self._rendered: list[Rendered] = []
+        self._seen: dict[int, EdgeSight] = {}
 
     def at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at a pose, from an earlier rendering if its pose is near enough."""
+        number = self._rendered_near(pose, STILL_PX)
+        if number not in self._seen:
+            self._seen[number] = self._edges_of(self._rendered[number].shown)
+        return self._seen[number]
+
+    def finally_at(self, pose: PoseArrays) -> EdgeSight:
+        """Return the edges at an aligned pose, with a brightness that follows the image within surfaces.
+
+        From a pose that is not aligned, displaced edges would be taken for changes of brightness.
+        """
+        rendered = self._rendered[self._rendered_near(pose, ALIGNED_PX)]
+        return self._edges_of(self._renderer.followed(rendered, self._frame.patch))
+
+    def _rendered_near(self, pose: PoseArrays, most_px: float) -> int:
+        """Return the number of a rendering that is at most a motion in the image away from a pose."""
         frame, radius_m = self._frame, self._renderer.radius_m
-        moved = [frame.moved_px(each.expected.pose, pose, radius_m) for each in self._known]
-        if moved and min(moved) < STILL_PX:
-            return self._known[int(np.argmin(moved))]
-        shown = self._renderer.render(frame.rays, frame.per_px, pose, frame.patch)
-        expected = expect_edges(self._edges, frame.lens, frame.patch, shown)
-        self._known.append(EdgeSight(self._edges, frame.lens, frame.patch, expected))
-        return self._known[-1]
+        moved = [frame.moved_px(rendered.shown.pose, pose, radius_m) for rendered in self._rendered]
+        if moved and min(moved) < most_px:
+            return int(np.argmin(moved))
+        self._rendered.append(self._renderer.render(frame.rays, frame.per_px, pose, frame.patch))
+        return len(moved)
+
+    def _edges_of(self, shown: Shown) -> EdgeSight:
+        """Return the edges that a rendering shows."""
+        lens, patch = self._frame.lens, self._frame.patch
+        return EdgeSight(self._edges, lens, patch, expect_edges(self._edges, lens, patch, shown))
 
     def blank(self, pose: PoseArrays) -> EdgeSight:
         """Return a sight without edges at a pose, for uses that need only the depth; nothing is rendered."""

@@ -21,7 +21,7 @@ from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.surroundings.places import SLANTED
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig, JointTuning
-from rpod_schemas.types import LENS_COEFFICIENTS, Camera, PmdFrame
+from rpod_schemas.types import LENS_COEFFICIENTS, Camera, Float32Array, PmdFrame
 
 MARGIN_PX = 16
 """Margin around the projection of the target's bounding sphere. Hand: it covers the error of a prediction and
@@ -56,7 +56,7 @@ saturated area and not of the target."""
 MIXED_BLURS = 2.0
 """Distance from a saturated pixel, over the blur, within which edges are shifted. Physics: it contains 95 %
 of a normal blur."""
-_NO_PATCH = Patch(np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
+_NO_PATCH = Patch(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0.0, 0.0, 1.0, 0.0, 0.0)
 """Patch of a frame without amplitude, in which no edge is found."""
 _Window = tuple[slice, slice]
 """A window of the image: rows and columns."""
@@ -359,8 +359,9 @@ def _patch(
         return _NO_PATCH
     known = part if saturated is None else np.where(saturated, np.float32(0.0), part)
     noise = noise_of_change(config.blur_px) * noise_of(known, LIT_SHARE * typical)
-    np.minimum(part, config.clip * typical, out=part)
-    smooth: NDArray[np.float32] = cv2.GaussianBlur(part, (0, 0), config.blur_px)  # type: ignore[assignment]
+    most = np.float32(config.clip * typical)
+    unclipped = _smoothed(part, config.blur_px)
+    smooth = _smoothed(np.minimum(part, most), config.blur_px) if part.max() > most else unclipped
     least = max(config.least_contrast * typical, CHANGE_SIGMAS * noise)
     mixed = NOT_SATURATED
     if saturated is not None:
@@ -368,7 +369,13 @@ def _patch(
     unranged = (~(frame.depth_m[around] > 0.0)).view(np.uint8)
     rad_per_m = 4.0 * np.pi / speed_of_light * _frequencies_hz(frame)
     at = float(columns.start), float(rows.start)
-    return Patch(smooth, *at, least, noise, typical, mixed, unranged, rad_per_m)
+    return Patch(smooth, unclipped, *at, least, noise, typical, mixed, unranged, rad_per_m)
+
+
+def _smoothed(image: Float32Array, blur_px: float) -> Float32Array:
+    """Return an image smoothed with a Gaussian kernel of a standard deviation, px."""
+    smooth: Float32Array = cv2.GaussianBlur(image, (0, 0), blur_px)  # type: ignore[assignment]
+    return smooth
 
 
 def _frequencies_hz(frame: PmdFrame) -> FloatArray:

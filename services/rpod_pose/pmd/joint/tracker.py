@@ -284,14 +284,14 @@ class JointTracker:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
         The first steps minimise distances in the distance field, the last ones distances from the planes of
-        the faces that the pixels show.
+        the faces that the pixels show. The last ones are done again with a brightness that follows the image.
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
-        if len(first):
-            sight = sights.at(state.pose)
-            state = align(self._problem(seen, sight, first, errors), state).state
+        state = align(self._problem(seen, sights.at(state.pose), first, errors), state).state
         problem = self._problem(seen, sights.at(state.pose), last, errors)
         problem = near_the_pose(problem, self._planes(seen, state.pose))
+        state = align(problem, state).state
+        problem = problem._replace(sight=sights.finally_at(state.pose))
         return Aligned(align(problem, state), problem)
 
     def _sights(self, seen: JointFrame) -> Sights:

@@ -68,15 +68,16 @@ def test_edges_of_a_panel_are_merged_where_it_is_thinner_than_the_blur(thick_px:
     thin = thick_px * away_m / CAMERA.fx / (high - low)[1]
     panel = replace(body, triangles_m=body.triangles_m * (1.0, thin, 1.0))
     edges = EdgeModel.of(panel, spacing_m=0.02).arrays
-    patch = Patch(np.zeros((CAMERA.height, CAMERA.width), np.float32), 0.0, 0.0, 6.0, 0.5, 100.0)
+    black = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+    patch = Patch(black, black, 0.0, 0.0, 6.0, 0.5, 100.0)
     renderer, rays = PatchRenderer(panel, TUNING.edges), DepthView.of(CAMERA, 4).rays(2).arrays
     pose = PoseArrays.of(make_pose(translation_m=(0.0, 0.0, away_m)))
-    exact = renderer.render(rays, 2, pose, patch)
+    exact = renderer.render(rays, 2, pose, patch).shown
     row, column, rows, columns = exact.window
     image = np.zeros_like(patch.image)
     image[row : row + rows, column : column + columns] = exact.shade * np.float32(100.0 / exact.typical)
-    patch = patch._replace(image=image)
-    shown = renderer.render(rays, 2, pose, patch)
+    patch = patch._replace(image=image, unclipped=image)
+    shown = renderer.render(rays, 2, pose, patch).shown
     seen = expect_edges(edges, Lens(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy), patch, shown)
     along = np.abs(edges.directions[seen.sample, 1]) < 0.5
     assert along.any()
@@ -108,7 +109,9 @@ def test_the_brightness_of_surfaces_follows_the_image_and_not_the_file() -> None
     exchanged = PatchRenderer(shuffled, TUNING.edges)
     exchanged._surfaces = RENDERER._surfaces
     seen, pose = prepared(FRAME), PoseArrays.of(TRUTH)
-    known, other = (each.render(seen.rays, seen.per_px, pose, seen.patch) for each in (RENDERER, exchanged))
+    known, other = (
+        each.render(seen.rays, seen.per_px, pose, seen.patch).shown for each in (RENDERER, exchanged)
+    )
     lit = known.shade > 0.5 * known.typical
     by_file = np.abs(known.shade / known.typical - other.shade / other.typical)[lit].mean()
     by_image = np.abs(known.fitted - other.fitted)[lit].mean() / seen.patch.typical

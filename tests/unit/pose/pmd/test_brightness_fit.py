@@ -107,7 +107,7 @@ def test_a_step_multiplies_a_part_by_its_mean_ratio() -> None:
     seen = Mixture(Window(0, 0, 2, 3), shown, part, (part + 1.0).astype(np.float32), alone, alone < 0)
     image = np.array([[2.0, 4.0, 6.0], [2.0, 3.0, 9.0]], np.float32)
     shade = mixed(np.ones(2, np.float32), seen, np.float32(np.inf))
-    ratio = ratio_of(image, np.maximum(shade, np.float32(1.0)), np.float32(0.0))
+    ratio = ratio_of(image, np.maximum(shade, np.float32(1.0)), np.float32(0.0), np.float32(np.inf))
     gain = np.ones(2, np.float32)
     adapt(gain, (1.0, 0.0), seen, np.ones(image.shape, np.float32), ratio)
     np.testing.assert_allclose(gain, (3.0, 2.0))
@@ -148,7 +148,7 @@ def test_the_misfit_counts_the_sky_beyond_the_window_and_leaves_saturated_pixels
     row, column, rows, columns = window
     whole[row : row + rows, column : column + columns] = rendered
     saturated = (random.random(image.shape) < 0.1).astype(np.uint8)
-    patch = Patch(image, 0.0, 0.0, 0.3, 0.1, 1.0, saturated)
+    patch = Patch(image, image, 0.0, 0.0, 0.3, 0.1, 1.0, saturated)
     sigma2 = (0.15 * whole) ** 2 + 0.15**2 + 0.1**2
     each = np.minimum((image - whole) ** 2 / sigma2, 9.0)
     assert squares_of(patch, Behind(rendered, sky), window) == pytest.approx(
@@ -165,7 +165,8 @@ def test_a_pose_that_hides_more_of_a_bright_wall_is_not_likelier(wall: float) ->
 
     image = np.full((60, 80), wall, np.float32)
     image[20:40, 30:50] = 1.0
-    patch = Patch(cv2.GaussianBlur(image, (0, 0), 1.0), 0.0, 0.0, 0.1, 0.02, 1.0)
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    patch = Patch(smooth, smooth, 0.0, 0.0, 0.1, 0.02, 1.0)
     right, wider, beside = (
         misfit(patch, at(slice(20, 40), columns), clip=4.0, blur_px=1.0)
         for columns in (slice(30, 50), slice(22, 50), slice(34, 54))
@@ -186,7 +187,8 @@ def test_what_the_target_leaves_free_of_a_pixel_is_the_share_of_rays_that_meet_n
 
 def test_a_bright_wall_changes_no_place_within_the_target() -> None:
     seen = mixture(((10, 30), (10, 20.5)), ((10, 30), (20.5, 30)), per_px=2)
-    patch = Patch(np.full((40, 40), 0.6, np.float32), 0.0, 0.0, 0.1, 0.02, 1.0)
+    image = np.full((40, 40), 0.6, np.float32)
+    patch = Patch(image, image, 0.0, 0.0, 0.1, 0.02, 1.0)
     behind = brightness_behind(patch, seen, 1.0)
     assert behind is not None
     inside = behind[20 - seen.window.row, 15 - seen.window.column : 25 - seen.window.column]

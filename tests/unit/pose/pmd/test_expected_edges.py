@@ -39,9 +39,11 @@ def expected(
 ) -> tuple[EdgeModel, ExpectedEdges]:
     """Return a target's edges, and those expected at a pose behind another body."""
     model = EdgeModel.of(target, spacing_m=0.02)
-    patch = Patch(image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0, unranged=unranged)
+    patch = Patch(image, image, 0.0, 0.0, max(6.0, 3.0 * noise), noise, 100.0, unranged=unranged)
     renderer = PatchRenderer(target if hider is None else hider, JointEdgeConfig())
-    shown = renderer.render(DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T), patch)
+    shown = renderer.render(
+        DepthView.of(CAMERA, 4).rays(per_px).arrays, per_px, PoseArrays.of(T), patch
+    ).shown
     assert shown.shade.shape == shown.fitted.shape == shown.window[2:]
     return model, expect_edges(model.arrays, LENS, patch, shown)
 
@@ -75,9 +77,9 @@ def test_an_edge_that_stands_alone_is_expected_in_its_place(per_px: int, off_px:
 def test_a_displacement_by_a_neighbour_below_a_quarter_pixel_is_expected(per_px: int) -> None:
     """A rendering with 64 rays in each pixel shows it; one ray, or four in rows and columns, did not."""
     far = make_pose(rotation=Rotation.from_rotvec((0.3, 0.5, 0.2)), translation_m=(0.0, 0.0, 14.0))
-    image, patch = DARK.copy(), Patch(DARK, 0.0, 0.0, 6.0, 0.5, 0.0)
+    image, patch = DARK.copy(), Patch(DARK, DARK, 0.0, 0.0, 6.0, 0.5, 0.0)
     rays, renderer = DepthView.of(CAMERA, 4).rays(8).arrays, PatchRenderer(HEXAGON, JointEdgeConfig())
-    shown = renderer.render(rays, 8, PoseArrays.of(far), patch)
+    shown = renderer.render(rays, 8, PoseArrays.of(far), patch).shown
     window = shown.window
     rows = slice(window.row, window.row + window.rows)
     image[rows, window.column : window.column + window.columns] = shown.shade * (100.0 / shown.typical)

@@ -165,7 +165,8 @@ def test_changes_half_a_pixel_from_an_edge_are_left_out_in_the_last_steps() -> N
     seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=tuning)
     assert isinstance(seen, JointFrame)
     pose, edges = PoseArrays.of(TRUTH), EdgeModel.of(MOCKUP, spacing_m=0.02).arrays
-    shown = PatchRenderer(MOCKUP, tuning.edges).render(seen.rays, seen.per_px, pose, seen.patch)
+    renderer = PatchRenderer(MOCKUP, tuning.edges)
+    shown = renderer.render(seen.rays, seen.per_px, pose, seen.patch).shown
     sight = EdgeSight(edges, seen.lens, seen.patch, expect_edges(edges, seen.lens, seen.patch, shown))
     aside = pose._replace(t=pose.t + np.array((0.5 * pose.t[2] / seen.lens.fx, 0.0, 0.0)))
     errors = EdgeErrors(tuning.edges.sigma_px, 300.0, 3.0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import kernel
 from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
+from rpod_pose.pmd.joint.brightness.local_brightness import local_light
 from rpod_pose.pmd.joint.brightness.mixture import Mixture
 from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window
@@ -32,6 +33,9 @@ Lambertian add to the spread of an albedo (``brightness``)."""
 MOST_SIGMAS = 3.0
 """Limit at which the residual of a pixel or point is clipped, in sigmas. Physics: one in 370 normal errors is
 larger; another body or a shadow is an outlier."""
+MOST_RATIO = 2.0
+"""Largest ratio of image over rendering that counts. Numerics: a glint does not decide about its surface; a
+surface of another brightness is found within the steps, each of which may double it."""
 MIXED = 0.01
 """Weight of a pixel that shows several parts, over that of a pixel of one. Numerics: it matters only for a
 part that has no pixel of its own."""
@@ -78,54 +82,110 @@ def predicted(patch: Patch, mixture: Mixture, *, clip: float, blur_px: float) ->
     """Return the image at a pose, with the brightness of parts and sky fitted; arguments as for ``fitted``.
 
     A wall may be behind the target: if the sky were assumed to be dark, a pose that hides more of the wall
-    would be likelier.
+    would be likelier. All pixels have the same weight, and the brightness of the file has none.
     """
     free = _blurred(mixture.free.copy(), blur_px)
     sky = sky_of(patch, free, mixture.window)
     shown = np.float32(sky) * free
     if mixture.pixel.size:
-        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
-        shown = shown + fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px, behind=shown)
+        image = np.maximum(_within(mixture.window, patch.image) - shown, np.float32(0.0))
+        _, typical = clipped(mixture, clip)
+        first, most = patch.typical / typical, clip * patch.typical
+        rendering = _Rendering(mixture, np.float32(faintest(patch)), blur_px, np.float32(most))
+        gain = _gains(image, rendering, np.ones_like(image), first=first, held=0.0, most_ratio=np.inf)
+        shown = shown + rendering.with_gains(gain)
     return Behind(shown, sky)
 
 
 def fitted(
-    patch: Patch,
-    mixture: Mixture,
-    by_file: ByFile,
-    *,
-    clip: float,
-    blur_px: float,
-    behind: Float32Array | None = None,
-) -> Float32Array:
+    patch: Patch, mixture: Mixture, typical: float, *, clip: float, blur_px: float
+) -> tuple[Float32Array, Float32Array]:
     """Return a smoothed rendering, in units of an image, with the brightness of each part fitted to it.
 
-    Without a brightness ``behind`` the target, pixels that show a single part decide, and a part with few
-    pixels, or without such a pixel, keeps the brightness of the file. With it, all pixels have the same
-    weight, and the file has none.
+    The factor on the brightness of each part follows, shape (K,). Pixels that show a single part decide. A
+    part with few pixels, or without such a pixel, keeps the brightness of the file. Image and rendering are
+    compared before they are clipped: where the clip shows an edge depends on how bright its sides are.
 
     Args:
         patch: the image, smoothed.
         mixture: the parts that the pixels show at a pose.
-        by_file: the rendering with the materials of the file.
+        typical: median brightness with the materials of the file.
         clip: largest brightness of image and rendering, over the typical one.
         blur_px: standard deviation of the blur of image and rendering.
-        behind: brightness behind the target on the pixels of the window; None if it is not fitted.
     """
-    (row, column, rows, columns), faint = mixture.window, np.float32(faintest(patch))
-    image, alone = patch.image[row : row + rows, column : column + columns], behind is None
-    image = np.ascontiguousarray(image) if behind is None else np.maximum(image - behind, np.float32(0.0))
-    weight = weights(mixture.alone) if alone else np.ones_like(image)
-    first, most = np.float32(patch.typical / by_file.typical), np.float32(clip * patch.typical)
-    gain = np.full(int(mixture.part.max()) + 1, first, np.float32)
-    rendered = first * by_file.shade
+    image, weight = _within(mixture.window, patch.unclipped), weights(mixture.alone)
+    rendering, first = _Rendering(mixture, np.float32(faintest(patch)), blur_px), patch.typical / typical
+    gain = _gains(image, rendering, weight, first=first, held=HELD, most_ratio=MOST_RATIO)
+    return rendering._replace(most=np.float32(clip * patch.typical)).with_gains(gain), gain
+
+
+def followed(
+    patch: Patch, mixture: Mixture, gain: Float32Array, *, clip: float, blur_px: float
+) -> Float32Array:
+    """Return a rendering as of ``fitted``, whose brightness also follows the image within each part.
+
+    Args:
+        patch: the image, smoothed.
+        mixture: the parts that the pixels show at a pose.
+        gain: fitted factor on the brightness of each part, shape (K,).
+        clip: as for ``fitted``.
+        blur_px: as for ``fitted``.
+    """
+    image, faint = _within(mixture.window, patch.unclipped), np.float32(faintest(patch))
+    rendering = _Rendering(mixture, faint, blur_px)
+    ratio = ratio_of(image, rendering.with_gains(gain), faint, np.float32(MOST_RATIO))
+    mixture = mixture._replace(light=local_light(mixture, weights(mixture.alone), ratio))
+    return _Rendering(mixture, faint, blur_px, np.float32(clip * patch.typical)).with_gains(gain)
+
+
+class _Rendering(NamedTuple):
+    """How the parts of a mixture are rendered."""
+
+    mixture: Mixture
+    faint: np.float32
+    """Brightness below which differences are no change of the image."""
+    blur_px: float
+    """Standard deviation of the blur."""
+    most: np.float32 = np.float32(np.inf)
+    """Largest brightness before the blur."""
+
+    def with_gains(self, gain: Float32Array) -> Float32Array:
+        """Return the smoothed rendering with a factor on the brightness of each part, shape (K,)."""
+        return _blurred(mixed(gain, self.mixture, self.most), self.blur_px)
+
+
+def _gains(
+    image: Float32Array,
+    rendering: _Rendering,
+    weight: Float32Array,
+    *,
+    first: float,
+    held: float,
+    most_ratio: float,
+) -> Float32Array:
+    """Return the fitted factor on the brightness of each part, shape (K,).
+
+    Args:
+        image: the image, smoothed, shape (rows, columns).
+        rendering: how the parts are rendered.
+        weight: weight of each pixel, same shape.
+        first: the factor by the brightness of the file.
+        held: its weight in pixels of one part; without it, each pixel acts on all parts within its blur.
+        most_ratio: largest ratio of image over rendering that counts.
+    """
+    gain = np.full(int(rendering.mixture.part.max()) + 1, first, np.float32)
     for _ in range(ROUNDS):
-        ratio = ratio_of(image, rendered, faint)
-        if not alone:
-            _blurred(ratio, blur_px)
-        adapt(gain, (float(first), HELD if alone else 0.0), mixture, weight, ratio)
-        rendered = _blurred(mixed(gain, mixture, most), blur_px)
-    return rendered
+        ratio = ratio_of(image, rendering.with_gains(gain), rendering.faint, np.float32(most_ratio))
+        if not held:
+            _blurred(ratio, rendering.blur_px)
+        adapt(gain, (first, held), rendering.mixture, weight, ratio)
+    return gain
+
+
+def _within(window: Window, image: Float32Array) -> Float32Array:
+    """Return the pixels of a window, shape (window.rows, window.columns)."""
+    row, column, rows, columns = window
+    return np.ascontiguousarray(image[row : row + rows, column : column + columns])
 
 
 def _blurred(image: Float32Array, blur_px: float) -> Float32Array:
@@ -235,18 +295,21 @@ def mixed(gain: Float32Array, mixture: Mixture, most: np.float32) -> Float32Arra
 
 
 @kernel
-def ratio_of(image: Float32Array, rendered: Float32Array, faint: np.float32) -> Float32Array:
+def ratio_of(
+    image: Float32Array, rendered: Float32Array, faint: np.float32, most: np.float32
+) -> Float32Array:
     """Return image over rendering, with ``faint`` added to both.
 
     Args:
         image: shape (rows, columns), like the result.
         rendered: same shape.
         faint: brightness that is added to both.
+        most: largest ratio.
     """
     ratio = np.empty(image.shape, np.float32)
     for i in range(image.shape[0]):
         for j in range(image.shape[1]):
-            ratio[i, j] = (image[i, j] + faint) / (rendered[i, j] + faint)
+            ratio[i, j] = min((image[i, j] + faint) / (rendered[i, j] + faint), most)
     return ratio
 
 

@@ -13,6 +13,7 @@ from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.brightness.brightness_fit import (
     faintest,
     fitted,
+    followed,
     misfit,
     predicted,
     rendered_by_file,
@@ -27,6 +28,8 @@ from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 from rpod_target import Target
 from rpod_target.mesh.topology import beyond_sides
+
+NO_GAIN = np.empty(0, np.float32)
 
 
 class Appearance(NamedTuple):
@@ -66,6 +69,18 @@ class Shown(NamedTuple):
     """Smoothed brightness, with that of each surface fitted to the image and in its units; same pixels."""
 
 
+class Rendered(NamedTuple):
+    """A rendering, and what its brightness consists of."""
+
+    shown: Shown
+    mixture: Mixture
+    """The surfaces that the pixels of the window show."""
+    gain: Float32Array
+    """Fitted factor on the brightness of each surface, shape (K,); shape (0,) if nothing is in view."""
+    behind: Float32Array | float
+    """Smoothed brightness of the thing behind the target, in units of the image; 0 if it is dark."""
+
+
 class PatchRenderer:
     """Renders the target on the pixels of a patch.
 
@@ -100,8 +115,8 @@ class PatchRenderer:
         cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
         return hits
 
-    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Shown:
-        """Return a rendering of the target at a pose; the next call overwrites its ranges.
+    def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Rendered:
+        """Return a rendering of the target at a pose.
 
         Args:
             rays: rays of the patch's pixels, shape (per_px * rows, per_px * columns).
@@ -111,13 +126,28 @@ class PatchRenderer:
         """
         hits, clip, blur_px = self.cast(rays, pose), self._config.clip, self._config.blur_px
         mixture = mixture_of(rays.components, hits, per_px, self._shape(pose, self._surfaces, patch))
-        by_file = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
-        shade, typical = by_file
-        as_seen = typical > 0.0 and patch.typical > 0.0
-        fit = fitted(patch, mixture, by_file, clip=clip, blur_px=blur_px) if as_seen else shade
-        if as_seen and (behind := brightness_behind(patch, mixture, blur_px)) is not None:
+        shade, typical = rendered_by_file(mixture, clip=clip, blur_px=blur_px)
+        fit, gain, behind = shade, NO_GAIN, None
+        if typical > 0.0 and patch.typical > 0.0:
+            fit, gain = fitted(patch, mixture, typical, clip=clip, blur_px=blur_px)
+            behind = brightness_behind(patch, mixture, blur_px)
+        if behind is not None:
             shade, fit = shade + behind * np.float32(typical / patch.typical), fit + behind
-        return Shown(pose, hits.range_m, per_px, mixture.window, shade, typical, fit)
+        shown = Shown(pose, hits.range_m.copy(), per_px, mixture.window, shade, typical, fit)
+        return Rendered(shown, mixture, gain, 0.0 if behind is None else behind)
+
+    def followed(self, rendered: Rendered, patch: Patch) -> Shown:
+        """Return a rendering whose brightness also follows the image within each surface.
+
+        Args:
+            rendered: the rendering.
+            patch: the image that it was fitted to.
+        """
+        shown, mixture, gain, behind = rendered
+        if not gain.size:
+            return shown
+        fit = followed(patch, mixture, gain, clip=self._config.clip, blur_px=self._config.blur_px)
+        return shown._replace(fitted=fit + behind)
 
     def misfit(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> float:
         """Return minus the log likelihood of a patch at a pose, with the brightness of each face fitted.
