@@ -358,6 +358,17 @@ def test_from_a_good_prediction_the_covariance_is_as_large_as_the_errors() -> No
     assert least < np.mean(nees) < most
 
 
+def test_brightness_that_varies_within_glossy_surfaces_does_not_turn_the_pose() -> None:
+    """Sides that are a few pixels thin show some degrees beside the frontal view."""
+    turned_deg = ((0.0, 5.0, 0.0), (0.0, -5.0, 0.0), (4.0, 0.0, 0.0), (0.0, 3.0, 0.0))
+    off_deg = []
+    for turn_deg in turned_deg:
+        turn = Rotation.from_rotvec(turn_deg, degrees=True)
+        T = make_pose(rotation=turn * FACING, translation_m=(0.0, 0.0, 4.0))
+        off_deg.append(error(TRACKER.track(frame(T), T), T)[0])
+    assert np.mean(off_deg) < 0.08, off_deg
+
+
 def test_what_the_view_does_not_show_is_uncertain() -> None:
     close = make_pose(rotation=FACING, translation_m=(0.0, 0.0, 1.15))
     roll = TRACKER.track(frame(close), close).covariance[5, 5]

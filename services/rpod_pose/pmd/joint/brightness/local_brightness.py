@@ -94,7 +94,8 @@ def _axis(number: int) -> Axis:
     place, middle = np.arange(number), 0.5 * (TILE_PX - 1)
     tile, from_first = place // TILE_PX, (place - middle) / TILE_PX
     before = np.floor(from_first)
-    return Axis(tile, place - TILE_PX * tile - middle, before.astype(np.int64), from_first - before)
+    off_px = (place - TILE_PX * tile).astype(np.float64) - middle
+    return Axis(tile, off_px, before.astype(np.int64), from_first - before)
 
 
 @inner_kernel
