@@ -1,5 +1,6 @@
 """Errors of arguments are told before the slow imports of what would use them."""
 
+import errno
 import signal
 import subprocess
 import sys
@@ -55,6 +56,34 @@ def test_an_error_names_its_verb_once(capsys):
     assert capsys.readouterr().err == "rpod driver check: kind: is unknown\n"
     done = CliRunner().invoke(app, ["router", "--listen", "7447"])
     assert done.stderr.startswith("rpod router: listen: is '7447'")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (
+            OSError(errno.EROFS, "Read-only file system", "runs"),
+            "runs: read-only file system; give a folder in which you may write",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "runs/a"),
+            "runs/a: no space left on device; free space on the disk, or give another folder",
+        ),
+        (OSError(errno.EIO, "Input/output error"), "input/output error"),
+        (OSError("the device is busy"), "the device is busy"),
+    ],
+)
+def test_an_error_of_the_system_is_told_with_path_and_remedy_and_without_its_number(error, line, capsys):
+    assert failed("report", error) == 1
+    assert capsys.readouterr().err == f"rpod report: {line}\n"
+
+
+def test_a_folder_in_which_a_run_cannot_write_is_told_by_its_option(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    done = CliRunner().invoke(app, ["run", "mockup-oblique", "--out", str(tmp_path / "notes.txt")])
+    assert done.exit_code == 1
+    assert done.stderr.startswith(f"rpod run: --out: {tmp_path}/notes.txt/mockup-oblique-")
+    assert done.stderr.endswith("not a directory; give another path: a part of it is a file, no folder\n")
 
 
 def test_a_process_that_compiled_code_ends_tells_the_call():

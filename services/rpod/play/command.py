@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed
+from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed, told
 from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
@@ -49,8 +49,8 @@ def run_command(
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
         # built once here, so that the services find them in the cache
         check_model(load_target(scenario.target), load_target(scenario.model))
-        folder = RunFolder.make(out, scenario)
-    except (ConfigurationError, OSError) as error:
+        folder = _folder(out, scenario)
+    except (ConfigurationError, RunError, OSError) as error:
         return failed("run", error)
     try:
         with Progress(quiet=as_json) as progress:
@@ -67,6 +67,14 @@ def run_command(
     else:
         _print(summary, paths)
     return EXIT_OK
+
+
+def _folder(out: Path, scenario: Scenario) -> RunFolder:
+    """Return the new folder of a run. Raises ``RunError``."""
+    try:
+        return RunFolder.make(out, scenario)
+    except OSError as error:
+        raise RunError(f"--out: {told(error)}") from error
 
 
 def _load_report() -> None:
