@@ -40,7 +40,7 @@ def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str
     """
     points_m = _points_m(data)
     if not len(points_m):
-        return ""
+        return _negative_hint(data)
     range_m = points_m[:, 2] if data.lens is not None else np.linalg.norm(points_m, axis=1)
     near_m, far_m = (float(value) for value in np.percentile(range_m, _PERCENT))
     wide_m = float(np.ptp(np.percentile(points_m, _PERCENT, axis=0), axis=0).max())
@@ -64,6 +64,20 @@ def _points_m(data: SensorFrame) -> NDArray[Any]:
     across = ((columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy)
     points: NDArray[Any] = np.stack([*(each * depth_m for each in across), depth_m], axis=1)
     return points
+
+
+def _negative_hint(data: SensorFrame) -> str:
+    """Return a hint if depths are measured and none is above zero; else empty."""
+    if data.lens is None:
+        return ""
+    values = data.images[0].values
+    below_m = values[np.isfinite(values) & (values < 0.0)]
+    if not below_m.size:
+        return ""
+    return (
+        f"all {below_m.size:,} depths are below zero, {np.median(below_m):.3g} m in the median: let the driver "
+        "send the depth along the viewing direction as a positive number"
+    )
 
 
 def _axes_hint(lens: Camera | None, points_m: NDArray[Any]) -> str:

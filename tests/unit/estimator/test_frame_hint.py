@@ -39,6 +39,11 @@ def test_depth_that_cannot_be_of_the_target_is_told_with_the_field_to_set(middle
     assert re.match(told, described(frame(middle_m), radius_m=1.0))
 
 
+def test_depths_below_zero_are_told() -> None:
+    told = "all 40 depths are below zero, -3 m in the median: let the driver send the depth along "
+    assert described(frame(-3.0), radius_m=1.0).startswith(told)
+
+
 def disc(scale: float, *, lens: bool, turned_deg: float = 30.0) -> PmdFrame | LidarScan:
     """Return a frame of a disc of 1 m radius at 4 m, with its distances in another unit."""
     camera = Camera(width=120, height=90, fx=190.0, fy=190.0, cx=59.5, cy=44.5)
