@@ -99,8 +99,7 @@ class Host:
         self._arrivals_s.clear()
         self._commands.restore()
         if info is not None:
-            self._check(info, self._publisher.info_type)
-            self._publisher.announce(info)
+            self._publisher.announce(self._checked(info, self._publisher.info_type))
         self._node.ready(f"publishing {self._config.name}")
 
     def _publish_all(self, frames: Iterator[SensorFrame | None]) -> None:
@@ -125,7 +124,7 @@ class Host:
         self._heard_s = time.monotonic()
         self._arrivals_s.append(self._heard_s)
         try:
-            self._check(frame, self._publisher.frame_type)
+            frame = self._checked(frame, self._publisher.frame_type)
             self._publisher.publish(frame)
             if self._reduced is not None:
                 self._reduced.publish(frame)
@@ -136,9 +135,14 @@ class Host:
             if self._trouble:
                 self._resume()
 
-    def _check(self, given: object, expected: type[Any] | None) -> None:
+    def _checked(self, given: Any, expected: type[Any] | None) -> Any:
+        """Return a frame or an info whose fields are checked: ``model_copy`` takes any value for them."""
         if expected is None or not isinstance(given, expected):
             raise WrongKindError(self._config.kind, given)
+        try:
+            return type(given).model_validate(dict(given))
+        except ValidationError as error:
+            raise DriverError(error_line(error)) from error
 
     def _resume(self) -> None:
         log.info("the sensor delivers frames again")

@@ -467,3 +467,20 @@ def test_a_driver_of_the_wrong_kind_is_told(bus):
     ):
         told = receiver.diagnostic(lambda item: "PmdFrame" in item.message)
     assert told.level is Health.ERROR
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"depth_m": np.ones((3, 4))}, "PmdFrame: depth_m: is of float64, needs an array of float32"),
+        ({"stamp_ns": 1.5}, "PmdFrame: stamp_ns: Input should be a valid integer"),
+    ],
+)
+def test_fields_that_a_copy_of_a_frame_took_unchecked_are_refused_by_their_names(bus, changes, told):
+    receiver = Receiver(bus.node("receiver"), DEPTH.of("pmd"), DIAGNOSTICS)
+    bad = frame(1).model_copy(update=changes)
+    with hosted(
+        Scripted(lambda: iter([bad])), DriverConfig(bus=bus.config, kind="pmd", name="pmd", retry_s=0.3)
+    ):
+        receiver.diagnostic(lambda item: item.message.startswith(told))
+    assert not receiver.messages["pmd/depth/image_raw"]
