@@ -78,7 +78,7 @@ class ForeignStateError(RunError):
 
 
 def told(error: Exception | str) -> str:
-    """Return an error in one line; one of the operating system as path, reason and remedy, without its number."""
+    """Return an error in one line; of the operating system as path, reason and remedy, without its number."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
     remedy = _REMEDIES.get(error.errno or 0)

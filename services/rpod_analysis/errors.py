@@ -25,6 +25,16 @@ class NotMcapError(AnalysisError):
         super().__init__(f"{path}: is not an MCAP log; give the .mcap file of a run, or its folder")
 
 
+class DifferentRunsError(AnalysisError):
+    """Files that are to be read as one log are of different runs."""
+
+    def __init__(self, first: Path, second: Path, topic: str) -> None:
+        super().__init__(
+            f"{second}: is of another run than {first}: both have {topic}, and no publisher in common; give "
+            "the files of one run, or 'rpod report' the files by their names, which compares runs"
+        )
+
+
 class NothingRecoveredError(AnalysisError):
     """A damaged log holds no message that can be recovered."""
 

@@ -75,8 +75,8 @@ def _negative_hint(data: SensorFrame) -> str:
     if not below_m.size:
         return ""
     return (
-        f"all {below_m.size:,} depths are below zero, {np.median(below_m):.3g} m in the median: let the driver "
-        "send the depth along the viewing direction as a positive number"
+        f"all {below_m.size:,} depths are below zero, {np.median(below_m):.3g} m in the median: let the "
+        "driver send the depth along the viewing direction as a positive number"
     )
 
 

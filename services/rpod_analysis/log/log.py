@@ -23,6 +23,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_analysis.errors import LogLimitError
 from rpod_analysis.log.log_file import LogFile, files_of, open_file, reading
 from rpod_analysis.log.logged import Logged
+from rpod_analysis.log.one_run import check_one_run
 from rpod_analysis.log.unreadable import Unreadable
 from rpod_schemas.errors import Reason
 from rpod_schemas.logs import (
@@ -87,7 +88,7 @@ def open_log(path: Path | str, *more: Path | str, namespace: str = "") -> "Log":
         namespace: ROS namespace of the topics, if the configuration in the log does not contain it.
 
     Raises:
-        AnalysisError: a file is missing, truncated, or not an MCAP file.
+        AnalysisError: a file is missing, truncated, or not an MCAP file, or files are of different runs.
     """
     return Log(path, *more, namespace=namespace)
 
@@ -109,6 +110,7 @@ class Log:
             parts = [open_file(file, stack) for file in files]
             # Sorted by their ends: a part may begin with latched messages older than the part before it.
             self._parts = sorted(parts, key=_by_time)
+            check_one_run(self._parts)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
