@@ -55,13 +55,16 @@ def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | No
     if not known:
         return None
     limit = NEES_95[totals.dof]
+    lines = (
+        f"95 % bound {limit} (red), expected mean {totals.dof} (grey)"  # in the panel they would cover points
+    )
     figure = make_subplots(
         rows=len(known),
         cols=2,
         column_widths=[0.76, 0.24],
         shared_yaxes=True,
         shared_xaxes=True,
-        subplot_titles=[text for title, *_ in known for text in (title, "distribution")],
+        subplot_titles=[text for title, *_ in known for text in (f"{title}: {lines}", "distribution")],
         horizontal_spacing=0.02,
         vertical_spacing=0.1,
     )
@@ -73,12 +76,6 @@ def consistency_figure(plot_data: PlotData, totals: RunTotals) -> go.Figure | No
             draw_limit(figure, "y", totals.dof, QUIET, row=row, col=col)
             figure.update_yaxes(type="log", row=row, col=col)
         figure.update_yaxes(title_text=axis, exponentformat="power", dtick=1, row=row, col=1)
-        for value, name in ((limit, f"95 % bound {limit}"), (totals.dof, f"expected mean {totals.dof}")):
-            above = value == limit
-            figure.add_annotation(
-                text=name, showarrow=False, font={"size": 11}, x=0.004, xref="x domain", y=np.log10(value),
-                yanchor="bottom" if above else "top", xanchor="left", row=row, col=1,
-            )  # fmt: skip
     figure.update_xaxes(title_text="time [s]", row=len(known), col=1)
     figure.update_xaxes(title_text="share of frames per bin", row=len(known), col=2)
     return styled(figure, height=60 + 240 * len(known))

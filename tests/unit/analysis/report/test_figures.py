@@ -92,6 +92,18 @@ def test_bounds_of_nees_and_nis_are_drawn_and_the_expected_shares_are_chi_square
     assert sum(within) == pytest.approx(0.95, abs=0.015)  # the bound lies within a bin
 
 
+def test_the_names_of_the_bounds_stand_above_the_panels_and_cover_no_point(digest, totals):
+    texts = consistency_figure(digest, totals).layout.annotations
+    bounds = "95 % bound 12.59 (red), expected mean 6 (grey)"
+    assert [each.text for each in texts] == [
+        f"NEES of the tracked frames: {bounds}",
+        "distribution",
+        f"NIS of the measurements: {bounds}",
+        "distribution",
+    ]
+    assert all(each.yref == "paper" and each.yanchor == "bottom" for each in texts)
+
+
 def test_thinning_keeps_the_peaks_and_the_order():
     stamp_ns = np.arange(100_000) * 1_000_000
     values = np.sin(stamp_ns * 1e-6)
