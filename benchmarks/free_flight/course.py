@@ -24,7 +24,7 @@ from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
-from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
 from rpod_schemas.config.motion import ImuNoiseConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_target import Target
@@ -33,7 +33,9 @@ EPOCH_NS = 10**18
 SLEW_RAD, SLEW_PERIOD_S = radians(10.0), 63.0
 """A slew with a rate of up to 1 deg/s."""
 ORBIT_M = 7.144e6
-AT_THEIR_WORD = FilterConfig(correlation_inflation=1.0, position_floor_m=0.0, attitude_floor_deg=0.0)
+AT_THEIR_WORD = FilterConfig(
+    tuning=FilterTuning(correlation_inflation=1.0), position_floor_m=0.0, attitude_floor_deg=0.0
+)
 FREE_FLIGHT = AT_THEIR_WORD.model_copy(update={"acceleration_density_m2_s3": 1e-9})
 """For a chaser that does not thrust."""
 

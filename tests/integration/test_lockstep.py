@@ -27,6 +27,7 @@ from lockstep_bench import (
 
 from rpod_runtime import Received
 from rpod_schemas.config.emulator import SensorConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
 from rpod_schemas.rmw.cdr import peek_stamp
@@ -114,7 +115,9 @@ def test_every_frame_of_several_sensors_is_made_once_and_answered_in_its_turn(be
 
 
 def test_a_sensor_whose_frames_are_all_refused_holds_nobody_up(bench):
-    run = bench.play(PMD, SLOW, heard=(PMD, SLOW), duration_s=1.2, max_age_s=0.2, initial_pose=GUESS)
+    run = bench.play(
+        PMD, SLOW, heard=(PMD, SLOW), duration_s=1.2, filter=FilterConfig(max_delay_s=0.2), initial_pose=GUESS
+    )
     assert answered(run) == steps(PMD, SLOW, duration_s=1.2)
     refused = [status.reason for status in statuses_of(run) if status.sensor == SLOW.name]
     assert len(refused) == 2

@@ -173,7 +173,10 @@ RENAMED = {"sharp_share": "accurate_share", "thinned": "reduced_rate", "verdict"
 """Present names of fields of configuration files, by their former names."""
 
 
-REMOVED = {"coasting_after_s": "remove it; the estimator's stale_after_s counts for it too"}
+REMOVED = {
+    "coasting_after_s": "remove it; the estimator's stale_after_s counts for it too",
+    "max_age_s": "remove it; filter.max_delay_s counts for it too",
+}
 """Remedies for fields that configuration files do not have any more, by name."""
 
 

@@ -11,13 +11,16 @@ from pydantic import BaseModel, ValidationError
 from rpod_schemas.config.base import RENAMED as RENAMED_IN_FILES
 from rpod_schemas.config.base import check
 
-CONFIG_VERSION = 6
+Place = tuple[int | str, ...]
+"""Keys that lead to a field of a document."""
+
+CONFIG_VERSION = 7
 """Version of the configuration models.
 
 1: all fields beside each other, and no version in the log. 2: fields outside the public interface are in
 ``tuning`` models. 3 and 5: fields have the names in ``RENAMED``. 4: a track is lost by its covariance, and
 the navigator has no ``rejection_timeout_s`` and ``rejected_frames``. 5: the fields in ``TUNED`` are in
-``tuning`` models. 6: the fields in ``MERGED`` are gone.
+``tuning`` models. 6: the fields in ``MERGED`` are gone. 7: both, of these tables.
 """
 _FIRST_WITH_TUNING = 2
 """First version whose logs have ``tuning`` models."""
@@ -34,15 +37,21 @@ RENAMED = {
     5: RENAMED_IN_FILES,
 }
 """Names that a version gave to fields, by the name before it."""
-TUNED = {_FIRST_WITH_TUNING: None, 5: frozenset({"attitudes"})}
+TUNED = {
+    _FIRST_WITH_TUNING: None,
+    5: frozenset({"attitudes"}),
+    7: frozenset({"correlation_inflation", "near_search_s"}),
+}
 """Names of the fields that a version moved into ``tuning``; None for any."""
-MERGED = {6: {"coasting_after_s": "stale_after_s"}}
-"""Names of the fields that a version removed, each with the field one level above it that counts for both."""
+MERGED: dict[int, dict[Place, Place]] = {
+    6: {("navigator", "coasting_after_s"): ("stale_after_s",)},
+    7: {("max_age_s",): ("filter", "max_delay_s")},
+}
+"""Places of the fields that a version removed, each with the place of the field that counts for both."""
 VERSION_FIELD = "config_version"
 """Name of the version among the fields of a logged configuration."""
 
 Model = TypeVar("Model", bound=BaseModel)
-Place = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
@@ -100,12 +109,12 @@ def check_logged(model: type[Model], document: Mapping[str, Any], *, source: str
         for place in extra:
             origin = _origin(place, origins)
             origins.pop(place, None)
-            if _can_be_renamed(kept, place, names):
+            if _repeats_another(kept, place, version):
+                _remove(kept, place)
+            elif _can_be_renamed(kept, place, names):
                 origins[_rename(kept, place, names)] = origin
             elif _became_tuning(place, version):
                 origins[_move(kept, place)] = origin
-            elif _repeats_another(kept, place, version):
-                _remove(kept, place)
             else:
                 _remove(kept, place)
                 inner = [moved for moved in origins if moved[: len(place)] == place]
@@ -154,6 +163,14 @@ def _holder(document: dict[str, Any], place: Place) -> Any:
     return holder
 
 
+def _value(document: dict[str, Any], place: Place) -> Any:
+    """Return the value of a field; None if a document does not have it."""
+    value: Any = document
+    for part in place:
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
 def _move(document: dict[str, Any], place: Place) -> Place:
     """Move a field into the ``tuning`` beside it, and return its new place."""
     holder = _holder(document, place)
@@ -181,10 +198,8 @@ def _became_tuning(place: Place, version: int) -> bool:
 
 def _repeats_another(document: dict[str, Any], place: Place, version: int) -> bool:
     """Return whether a later version merged a field with another one, which has the same value."""
-    merged = {old: new for since, names in MERGED.items() if version < since for old, new in names.items()}
-    other = merged.get(str(place[-1]))
-    beside = _holder(document, place[:-1])
-    return other in beside and beside[other] == _holder(document, place)[place[-1]]
+    merged = {old: new for since, pairs in MERGED.items() if version < since for old, new in pairs.items()}
+    return place in merged and _value(document, merged[place]) == _value(document, place)
 
 
 def _can_be_renamed(document: dict[str, Any], place: Place, names: Mapping[str, str]) -> bool:

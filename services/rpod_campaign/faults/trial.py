@@ -151,7 +151,7 @@ def _outputs(cell: FaultCell, course: Course, seed: int, begin_ns: int, end_ns: 
         link.send(messages, stamp_ns)
         for arrival in [*arrivals, *link.arrived(stamp_ns)]:
             yield from _processed_late(
-                estimator, reader, arrival.messages, arrival.time_ns, max_age_s=config.max_age_s
+                estimator, reader, arrival.messages, arrival.time_ns, max_delay_s=config.filter.max_delay_s
             )
         yield from estimator.let_time_pass(stamp_ns)
 
@@ -179,7 +179,7 @@ def _processed(
 
 
 def _processed_late(
-    estimator: Estimator, reader: FrameReader, messages: list[Received], now_ns: int, *, max_age_s: float
+    estimator: Estimator, reader: FrameReader, messages: list[Received], now_ns: int, *, max_delay_s: float
 ) -> Iterator[Output]:
     """Yield the results for messages that arrive at a time; of their frames the newest one is used."""
     arrived = list(_arrived(reader, messages))
@@ -187,8 +187,10 @@ def _processed_late(
     yield from estimator.let_time_pass(now_ns)
     for each in arrived[-1:]:
         age_s = (now_ns - each.stamp_ns) / NANOSECONDS
-        if age_s > max_age_s:
-            late = MessageRejectedError(Reason.LATE, f"{age_s:.3f} s old, max_age_s is {max_age_s:g}")
+        if age_s > max_delay_s:
+            late = MessageRejectedError(
+                Reason.LATE, f"{age_s:.3f} s old, filter.max_delay_s is {max_delay_s:g}"
+            )
             yield estimator.process(Arrived.unusable(each.sensor, each.stamp_ns, late))
             continue
         yield estimator.process(each)

@@ -13,6 +13,7 @@ from rpod_runtime.sensor_data.end_watch import EndWatch, last_of
 from rpod_runtime.sensor_data.stamp_watch import TAI_S, clock_hint, is_boot_time, is_local_time
 from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.estimator import EstimatorConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorInfo
@@ -92,8 +93,8 @@ def clock(seen: Observations) -> CheckResult:
         return unchecked(line, "no frame came")
     ages_s = np.array([heard.arrival_ns - heard.stamp_ns for heard in seen.leads]) / NANOSECONDS
     least_s, middle_s = float(ages_s.min()), float(np.median(ages_s))
-    fields = EstimatorConfig.model_fields
-    late_s, ahead_s = fields["max_age_s"].default, fields["max_future_s"].default
+    late_s = FilterConfig().max_delay_s
+    ahead_s = EstimatorConfig.model_fields["max_future_s"].default
     figures = {"least_age_s": least_s, "median_age_s": middle_s}
     if -ahead_s <= least_s and middle_s <= late_s:
         text = (

@@ -34,7 +34,10 @@ class SensorClock:
         self._name, self._book, self._health = sensor.name, book, health
         self._sigma_s, self._within_s = config.integrity.clock_sigma_s, sensor.source.arrives_within_s
         self._ages, self._drift, self._end = StampWatch(), DriftWatch(), EndWatch()
-        self._lates, self._steps = LateWatch(config.max_age_s), StepWatch(self._sigma_s, self._within_s)
+        self._lates, self._steps = (
+            LateWatch(config.filter.max_delay_s),
+            StepWatch(self._sigma_s, self._within_s),
+        )
 
     def note_arrival(self, leading: Received, stamp_ns: int) -> None:
         """Compare the stamp of a frame's leading part with its sending and arrival."""

@@ -293,10 +293,10 @@ class Subscriptions:
             clock.await_ns(earliest_ns, _CLOCK_LAG_S, standing_s=_STANDING_S)
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
-        if age_s > self._config.max_age_s:
+        if age_s > (max_delay_s := self._config.filter.max_delay_s):
             why = self._clocks[sensor].why_late() or clock_hint(-age_s, stamp_ns)
             raise MessageRejectedError(
-                Reason.LATE, f"{age_s:.3f} s old, max_age_s is {self._config.max_age_s:g}; {why}"
+                Reason.LATE, f"{age_s:.3f} s old, filter.max_delay_s is {max_delay_s:g}; {why}"
             )
         if age_s < -self._config.max_future_s:
             raise MessageRejectedError(

@@ -156,7 +156,9 @@ class Navigator:
             return self._track_rivals(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
             return self._acquire(state, event)
-        if state.lost_s(event.stamp_ns) > self._limits.near_search_s:  # to predict it takes longer and longer
+        if (
+            state.lost_s(event.stamp_ns) > self._limits.tuning.near_search_s
+        ):  # to predict it takes longer and longer
             return self._acquire(state, event)
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:

@@ -3,8 +3,8 @@
 Each rival has a filter of its own. Each frame adds to the logarithm of a rival's evidence. It adds the log
 likelihood of the frame at the pose that the tracker found, by the same model of the sensor by which a search
 weighs its hypotheses. Errors of successive frames are correlated. Therefore at most half of a frame's log
-likelihood counts, whatever the rate (or one part in ``correlation_inflation``, if that is set), and all
-frames within ``CORRELATED_S`` count at most as one.
+likelihood counts, whatever the rate (or one part in ``correlation_inflation``, if the filter's ``tuning``
+sets it), and all frames within ``CORRELATED_S`` count at most as one.
 
 Only differences between rivals matter. A rival is excluded when a frame that another rival explains
 contradicts it, or when the filter's gate rejects its motion. Attitudes that no measurement distinguishes are

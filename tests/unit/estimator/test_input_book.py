@@ -15,7 +15,7 @@ from rpod_runtime.sensor_data.stamp_watch import clock_hint
 from rpod_schemas.config.estimator.estimator import NavigatorTuning
 from rpod_schemas.types import EstimatorStatus, Health, Mode
 
-LATE = Loss("late", "late: 1.200 s old, max_age_s is 1; check the sensor's clock")
+LATE = Loss("late", "late: 1.200 s old, filter.max_delay_s is 1; check the sensor's clock")
 REFUSED = Loss("rejected", "7.5% of 900 pixels are inconsistent with the pose, limit 5%")
 US = 1_000
 

@@ -325,7 +325,7 @@ def test_a_frame_that_still_waits_for_its_amplitude_is_processed_at_the_end():
 @pytest.mark.parametrize(
     ("offset_s", "reason", "words"),
     [
-        (-1.1, "late", "late: 1.100 s old, max_age_s is 1; check the sensor's clock"),
+        (-1.1, "late", "late: 1.100 s old, filter.max_delay_s is 1; check the sensor's clock"),
         (-37.0, "late", "late: 37.000 s old"),
         (0.1, "future", "future: 0.100 s ahead of wall time, max_future_s is 0.05; check the sensor's clock"),
         (1e9, "future", "future: 1000000000.000 s ahead"),
@@ -440,7 +440,7 @@ def told(bench, now_s=3.0):
     [
         (0.0, 0, Health.OK, "tracking"),
         (37.0, 0, Health.ERROR, "future: 37.000 s ahead of wall time, max_future_s is 0.05; is it TAI?"),
-        (-5.0, 0, Health.ERROR, "late: 5.000 s old, max_age_s is 1; check the sensor's clock"),
+        (-5.0, 0, Health.ERROR, "late: 5.000 s old, filter.max_delay_s is 1; check the sensor's clock"),
         (0.0, 1_000, Health.OK, "tracking"),
         (0.0, None, Health.ERROR, "depth without camera_info, which does not come at all"),
         (0.0, 0, Health.WARN, "frames are identical to the bit; restart the sensor's driver"),

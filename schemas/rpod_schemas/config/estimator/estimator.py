@@ -141,6 +141,11 @@ class NavigatorTuning(Tuning):
     ] = 0
     """Number of frames of the same sensor after which the result of a search is applied, in lockstep,
     campaigns and replay. A live estimator applies it at the first frame after the search has ended."""
+    near_search_s: Annotated[
+        NonNegative,
+        Provenance("physics", "a body whose rate is 15 deg/s off has then left the 45 deg of such a search"),
+    ] = 3.0
+    """Time after a loss in which only attitudes near the prediction are searched, s; after it all are."""
     rivals_s: Annotated[Positive, BY_HAND] = 15.0
     """Time after which rivals are given up for a new search if none of them is believed, s. Errors of the
     model that favour one of them count no longer than this."""
@@ -163,9 +168,6 @@ class NavigatorConfig(Config):
     silence_timeout_s: Positive = 2.5
     """Time without any frame after which the prediction is published without one, s. The mode may then become
     COASTING or LOST. Set it above the longest regular gap of the slowest sensor."""
-    near_search_s: NonNegative = 3.0
-    """Time after a loss in which only attitudes near the prediction are searched, s; after it all are. Lower
-    it for targets that tumble fast, whose prediction is soon useless."""
     tuning: NavigatorTuning = NavigatorTuning()
     """Limits and numbers of the method that are outside the public interface; change them only to study
     it."""
@@ -208,9 +210,6 @@ class EstimatorConfig(ServiceConfig, EstimatorSettings):
     look."""
     prefix: Name = "estimate"
     """First part of the topics of the estimates. Set it where two estimators run side by side."""
-    max_age_s: Positive = 1.0
-    """Largest age of a frame on arrival, s; older frames are late and not used. Raise it for slow links or
-    long exposures; the estimates are then delayed as much."""
     changed_setup: Literal["refuse", "accept"] = "refuse"
     """Treatment of a sensor whose mount, lens or info changes while the target is tracked. ``refuse`` does
     not use its frames until a reset. Set ``accept`` if a driver may correct them in service, and nobody else

@@ -37,6 +37,11 @@ class FilterTuning(Tuning):
     ] = 0.133
     """Time within which frames of a sensor show the same errors, s, where ``correlation_inflation`` is not
     set."""
+    correlation_inflation: Annotated[
+        Annotated[float, Field(ge=1, allow_inf_nan=False)] | None,
+        Provenance("physics", "none: the factor follows from the rate of the frames (``alike_s``)"),
+    ] = None
+    """Factor on a measurement's covariance that replaces the one by the rate of the frames."""
 
 
 class FilterConfig(Config):
@@ -62,15 +67,12 @@ class FilterConfig(Config):
     attitude_floor_deg: NonNegative = 0.15
     """Standard deviation that is added in squares to every measured attitude, deg, for the same errors. Raise
     it if attitudes are constantly off by more than their covariance says."""
-    correlation_inflation: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
-    """Factor on a measurement's covariance, because the errors of successive frames are correlated. By
-    default it is 2 up to 15 frames a second, and rises with their rate: to 6 at 45. Set it where a campaign
-    has shown another factor; if it is too low, the filter is overconfident."""
     errors: Literal["considered", "inflated"] = "inflated"
     """How errors that last from frame to frame are treated. ``considered`` carries them as states, as large
-    as the sensor's method and the target's ``tolerance_m`` say; the three fields above then apply only to a
-    sensor whose method does not separate them. ``inflated`` uses these three fields for all. Set
-    ``considered`` where the target's file is right within its ``tolerance_m``."""
+    as the sensor's method and the target's ``tolerance_m`` say. ``inflated`` adds the two floors above and
+    multiplies the covariance by a factor: 2 up to 15 frames a second, rising with their rate to 6 at 45.
+    Sensors whose methods do not separate these errors always have floors and factor. Set ``considered`` where
+    the target's file is right within its ``tolerance_m``."""
     mount_sigma_deg: NonNegative = 0.0
     """Standard deviation of the attitude of a sensor's mount about each axis, deg, for which the filter
     estimates it. Set it where mounts are not calibrated well: the difference between the mounts of two
@@ -88,9 +90,10 @@ class FilterConfig(Config):
     initial_rate_sigma_deg_s: Positive = 6.0
     """Standard deviation of the rotation rate of each axis, deg/s, when a filter starts without one. Set it
     to a third of the largest tumbling rate that the mission allows. The default covers 18 deg/s."""
-    max_delay_s: NonNegative = 1.0
-    """Largest delay of a measurement behind the newest one, s, at which it is still applied, at its own
-    stamp. Raise it for a slow sensor beside a fast one; memory and computation grow with it."""
+    max_delay_s: Positive = 1.0
+    """Largest delay of a measurement, s. A frame that is older on arrival is late and not used. A measurement
+    that is up to this time older than the newest one is applied at its own stamp. Raise it for slow links,
+    long exposures, or a slow sensor beside a fast one; memory and computation grow with it."""
     tuning: FilterTuning = FilterTuning()
     """Limits and numbers of the method that are outside the public interface; change them only to study
     it."""
@@ -101,6 +104,6 @@ class FilterConfig(Config):
         Args:
             since_s: time since the frame of its sensor before it that was accepted, s.
         """
-        if self.correlation_inflation is not None:
-            return self.correlation_inflation
+        if self.tuning.correlation_inflation is not None:
+            return self.tuning.correlation_inflation
         return max(LEAST_INFLATION, self.tuning.alike_s / max(since_s, 1e-9))

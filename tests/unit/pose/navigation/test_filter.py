@@ -27,8 +27,7 @@ SECOND_NS = 1_000_000_000
 PLAIN = FilterConfig(
     position_floor_m=0.0,
     attitude_floor_deg=0.0,
-    correlation_inflation=1.0,
-    tuning=FilterTuning(gate_nis=1e9),
+    tuning=FilterTuning(gate_nis=1e9, correlation_inflation=1.0),
     initial_velocity_sigma_m_s=1.0,
 )
 """Takes measurements at their word."""
@@ -233,7 +232,9 @@ def test_a_measurement_whose_covariance_is_not_one_is_rejected() -> None:
 
 
 def test_floor_and_inflation_keep_the_filter_from_believing_too_much() -> None:
-    config = FilterConfig(position_floor_m=0.002, attitude_floor_deg=0.15, correlation_inflation=2.0)
+    config = FilterConfig(
+        position_floor_m=0.002, attitude_floor_deg=0.15, tuning=FilterTuning(correlation_inflation=2.0)
+    )
     state = start(make_pose(), np.zeros((6, 6)), 0, config=config)
     sigma = np.sqrt(np.diag(state.covariance))
     np.testing.assert_allclose(sigma[:6], np.sqrt(2.0) * np.repeat([0.002, np.deg2rad(0.15)], 3))
@@ -482,7 +483,9 @@ def test_a_measured_twin_counts_as_the_pose_that_it_looks_like() -> None:
 
 
 def test_the_gate_of_five_degrees_of_freedom_is_as_wide_as_that_of_six() -> None:
-    config = FilterConfig(position_floor_m=0.0, attitude_floor_deg=0.0, correlation_inflation=1.0)
+    config = FilterConfig(
+        position_floor_m=0.0, attitude_floor_deg=0.0, tuning=FilterTuning(correlation_inflation=1.0)
+    )
     alike = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 12, exact=True, continuous=True)])
     noise = np.diag(COVARIANCE.diagonal())
     free = start(make_pose(), noise, 0, config=config, alike=alike)

@@ -17,12 +17,11 @@ SECOND_NS = 1_000_000_000
 PLAIN = FilterConfig(
     position_floor_m=0.0,
     attitude_floor_deg=0.0,
-    correlation_inflation=1.0,
     acceleration_density_m2_s3=1e-12,
     angular_acceleration_density_rad2_s3=1e-12,
     initial_velocity_sigma_m_s=0.01,
     initial_rate_sigma_deg_s=0.5,
-    tuning=FilterTuning(gate_nis=1e9),
+    tuning=FilterTuning(gate_nis=1e9, correlation_inflation=1.0),
 )
 """Takes measurements at their word, and believes in slow steady motions."""
 NOISE = np.diag([2e-3, 3e-3, 4e-3, 2e-3, 3e-3, 2e-3]) ** 2

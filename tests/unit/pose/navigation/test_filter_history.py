@@ -103,7 +103,7 @@ def test_only_the_past_that_late_measurements_need_is_kept() -> None:
 
 
 def test_without_a_delay_no_late_measurement_is_applied_and_a_second_of_the_past_is_kept() -> None:
-    config = FilterConfig(max_delay_s=0.0)
+    config = FilterConfig(max_delay_s=1e-9)
     history = after(*(measurement(time_s) for time_s in (0.1, 0.2, 0.9, 1.1, 1.7)), config=config)
     assert not apply(history, measurement(1.65), config).accepted
     assert apply(history, measurement(1.7), config).accepted
@@ -111,7 +111,7 @@ def test_without_a_delay_no_late_measurement_is_applied_and_a_second_of_the_past
 
 
 def test_the_state_without_the_newest_measurements_is_known_although_none_may_be_late() -> None:
-    config = FilterConfig(max_delay_s=0.0)
+    config = FilterConfig(max_delay_s=1e-9)
     history = after(measurement(0.1), measurement(0.2), measurement(0.3), config=config)
     for time_s, known in ((0.25, after(measurement(0.1), measurement(0.2))), (0.05, begun())):
         found = history.without_newest(round(time_s * SECOND_NS))

@@ -34,7 +34,7 @@ from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_pose.pose_evidence import Misfit, OtherSize, PartSolution
 from rpod_schemas.config.estimator import EstimatorSettings, LidarInput, PmdInput
-from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import EstimatorStatus, IntegrityState, Mode, Odometry, Source
@@ -244,7 +244,11 @@ def spin(time_s):
 @pytest.mark.parametrize("late_s", [0.05, -0.05, 0.0])
 def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_and_mount(late_s, monkeypatch):
     monkeypatch.setitem(globals(), "truth", spin)
-    stated = {"attitude_floor_deg": 0.0, "position_floor_m": 0.0, "correlation_inflation": 1.0}
+    stated = {
+        "attitude_floor_deg": 0.0,
+        "position_floor_m": 0.0,
+        "tuning": FilterTuning(correlation_inflation=1.0),
+    }
     config = CONFIG.model_copy(update=stated)
     settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=config)
     track = Track(Monitor(settings), np.random.default_rng(7), config=config)
@@ -653,7 +657,7 @@ def test_a_prediction_is_no_past_with_which_an_estimate_is_compared(track):
 def test_a_level_leaves_the_newest_frames_out_however_late_measurements_may_be():
     """Where no late measurement is applied, the filter's past is kept all the same."""
     levels = []
-    for max_delay_s in (1.0, 0.0):
+    for max_delay_s in (1.0, 1e-9):
         config = FilterConfig(max_delay_s=max_delay_s)
         settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=config)
         made = Track(Monitor(settings), np.random.default_rng(7), config=config)

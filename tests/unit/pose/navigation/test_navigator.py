@@ -33,7 +33,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.belief import SYMMETRY, Belief, Rival, contradicted, worst_sigma
 from rpod_pose.navigation.history import History
 from rpod_pose.ports import Acquisition, Registration
-from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, LidarScan, Mode, Source
 from rpod_target import Equivalence, Symmetry
@@ -169,7 +169,7 @@ def test_tracking_publishes_the_filtered_pose_at_each_frame():
 
 @pytest.mark.parametrize(("rate_hz", "factor"), [(10, 2.0), (45, 6.0), (90, 12.0)])
 def test_frames_that_follow_closely_count_as_much_as_the_time_that_they_span(rate_hz, factor):
-    fixed = FilterConfig(correlation_inflation=factor)
+    fixed = FilterConfig(tuning=FilterTuning(correlation_inflation=factor))
     by_rate, by_factor = tracking(START_S + 1.0), tracking(START_S + 1.0, filter_config=fixed)
     for frame in range(1, rate_hz + 1):
         view = good(START_S + 1.0 + frame / rate_hz)
@@ -379,7 +379,7 @@ def test_then_it_is_searched_everywhere():
 
 
 def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
-    made = lost(near_search_s=3.0)
+    made = lost(tuning={"near_search_s": 3.0})
     made.see(blind(START_S + 9.0))
     assert made.method.asked == ["track", "near", "acquire"]
     made.see(blind(START_S + 9.1))
@@ -387,7 +387,7 @@ def test_the_prediction_is_tried_for_a_while_after_the_loss_only():
 
 
 def test_a_slow_sensors_prediction_is_tried_after_a_loss_by_rejections():
-    made = tracking(START_S + 4.0, 1.0, near_search_s=3.0)
+    made = tracking(START_S + 4.0, 1.0, tuning={"near_search_s": 3.0})
     made.see(blind(START_S + 5.0))
     made.see(blind(START_S + 6.0))
     assert made.mode == Mode.LOST
@@ -541,7 +541,10 @@ def test_a_late_measurement_may_speak_for_one_that_was_gated_before():
 
 
 def test_pose_and_covariance_are_turned_into_the_chasers_axes():
-    made = rig(confirmations=0, filter_config=FilterConfig(position_floor_m=0.0, correlation_inflation=1.0))
+    made = rig(
+        confirmations=0,
+        filter_config=FilterConfig(position_floor_m=0.0, tuning=FilterTuning(correlation_inflation=1.0)),
+    )
     covariance = np.diag([0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4])
     output = made.see(
         replace(blind(START_S), acquired=(registration(in_sensor(START_S), covariance=covariance),))
@@ -824,7 +827,7 @@ def test_a_track_that_coasts_tells_since_when_until_it_coasts_again():
 
 
 def test_a_track_that_was_lost_long_ago_is_not_predicted_any_more():
-    made = lost(near_search_s=10.0)
+    made = lost(tuning={"near_search_s": 10.0})
     slow = replace(made.state.history.state, model=Slow(30.0))
     made.state = replace(made.state, history=History(slow))
     for since_s in (20.0, 3600.0):
