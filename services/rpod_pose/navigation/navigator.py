@@ -156,10 +156,8 @@ class Navigator:
             return self._track_rivals(state, state.rivals, event)
         if state.mode == Mode.ACQUIRING or state.history is None:
             return self._acquire(state, event)
-        if (
-            state.lost_s(event.stamp_ns) > self._limits.tuning.near_search_s
-        ):  # to predict it takes longer and longer
-            return self._acquire(state, event)
+        if state.lost_s(event.stamp_ns) > self._limits.tuning.near_search_s:
+            return self._acquire(state, event)  # to predict would take longer and longer
         predicted = state.history.at(event.stamp_ns, self._settings.filter)
         if predicted is None:
             return state, self._output(state, event, reason=TOO_OLD)
