@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 _TURN_S = 0.01
 _SLOW_PERIOD_S = 0.1
-"""Period in which a slow process stands still for its share of the time."""
+"""Period in which a slow process is suspended for its share of the time."""
 _ALWAYS_NS = 2**62
 _RECORD_S = 30.0
 """Longest time until the logger records again after its disk was full."""
@@ -50,7 +50,7 @@ class _Playing:
     end_ns: int
     begun: bool = False
     stands: bool = False
-    """Whether the process stands still now."""
+    """Whether the process is suspended now."""
 
     @property
     def injected(self) -> InjectedFault:
@@ -154,7 +154,7 @@ class FaultPlayer:
         self._node.ask(server, "fault", Accepted, request)
 
     def _pace(self, fault: _Playing, now_ns: int) -> None:
-        """Let a slow process stand still for its share of each period."""
+        """Suspend a slow process for its share of each period."""
         phase = ((now_ns - fault.begin_ns) / NANOSECONDS / _SLOW_PERIOD_S) % 1.0
         stands = phase < (fault.asked.amount or 0.0) and now_ns < fault.end_ns
         if stands != fault.stands:

@@ -1,4 +1,4 @@
-"""Clocks that stand still while kernels are compiled, so that the first use of a method is not its time."""
+"""Clocks that stop while kernels are compiled, so that a method's time does not contain the compilation."""
 
 import time
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ class Moment(NamedTuple):
 
 
 class Clocks(event.Listener):
-    """Clocks that stand still between the start and the end of each compilation."""
+    """Clocks that stop from the start to the end of each compilation."""
 
     def __init__(self) -> None:
         self._depth = 0

@@ -21,6 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_analysis.target_check.conditions import Condition, conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_geometry.rays import RayGrid, cast
+from rpod_geometry.windows import window_around
 from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.pmd import PmdConfig
@@ -49,6 +50,8 @@ _HELD = 1e-6
 """Share of the information's trace that is added: directions that no ray determines then do not move."""
 _SAME_ATTITUDE = float(np.cos(np.deg2rad(1.0)))
 """Cosine of the angle below which two attitudes are one; axes are found to a fraction of a degree."""
+_REACH = 2
+"""Reach of the comparison, rays: a ray beside a jump, and its neighbour."""
 _STEEPEST = 0.2
 """Least cosine of incidence of a ray whose range is compared; at steeper ones the footprint decides it."""
 
@@ -255,7 +258,7 @@ def _log_likelihood(target: Target, sensor: _Sensor, turned: RigidTransform, vie
 
 
 def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, slack_m: float) -> float:
-    window = _window(right.hit | other.hit)
+    window = window_around(right.hit | other.hit, (_REACH, _REACH))
     right, other = right.within(window), other.within(window)
     both = right.hit & other.hit
     cosine = np.abs(np.einsum("rci,rci->rc", right.normals, sensor.grid.directions[window]))
@@ -271,17 +274,6 @@ def _difference(sensor: _Sensor, right: _Look, other: _Look, *, sigma_m: float, 
         apart = np.maximum(low - right.brightness, right.brightness - high)
         count += int((both & (apart > _SAME_BRIGHTNESS)).sum())
     return 0.5 * float((sigmas**2).sum()) + 0.5 * _MOST_SIGMAS**2 * count
-
-
-def _window(hit: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the rows and columns of the rays that meet something, and two more on each side.
-
-    Two is the reach of the comparison: a ray beside a jump, and its neighbour.
-    """
-    rows, columns = (np.flatnonzero(hit.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(None), slice(None)
-    return slice(max(rows[0] - 2, 0), rows[-1] + 3), slice(max(columns[0] - 2, 0), columns[-1] + 3)
 
 
 def _apart(right: _Look, other: _Look, *, reach: int) -> FloatArray:

@@ -23,7 +23,7 @@ from rpod_target import Target
 TRIALS = 12
 """Number of frames of each sensor on which its default methods are tried."""
 _OTHERS = 3
-"""Methods that are not a default of their sensor are tried on one frame in so many."""
+"""One frame in this number is tried by the other methods of its sensor, too."""
 _LONGEST_S = 20.0
 """Processor time of all trials after which no further frame is tried, unless their number is asked for."""
 _SEED = 1

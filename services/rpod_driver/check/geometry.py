@@ -165,7 +165,7 @@ def fitted(sightings: list[Sighting], surface: Surface, mount: RigidTransform) -
 
 
 def _rms_m(distances_m: FloatArray) -> float:
-    """Return the RMS of distances, m, of which none counts as more than the last gate."""
+    """Return the RMS of distances, m, each of which counts as the last gate at most."""
     return float(np.sqrt(np.mean(np.minimum(distances_m, _GATES_M[-1]) ** 2))) if distances_m.size else 0.0
 
 

@@ -19,6 +19,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rpod_geometry.windows import window_around
 from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.lidar.neighbour_residuals import neighbour_sums
@@ -310,7 +311,7 @@ class ScanModel:
         """Return the measured ranges and the rays near the returns and the target at a pose."""
         hits = self._view.hits
         cast_faces(seen.grid.arrays, self._faces, pose.R, pose.t, hits.arrays)
-        rows, columns = _around((seen.range_m > 0.0) | (hits.triangle >= 0))
+        rows, columns = window_around((seen.range_m > 0.0) | (hits.triangle >= 0), (MARGIN, MARGIN))
         measured = np.ascontiguousarray(seen.range_m[rows, columns])
         buffers = np.empty(measured.shape, np.float32), np.empty(measured.shape, np.int32)
         return measured, Rays(seen.grid.block(rows, columns), self._faces, *buffers)
@@ -375,13 +376,3 @@ def _inverses() -> tuple[FloatArray, FloatArray]:
     of_gains: FloatArray = np.linalg.pinv(curved).astype(np.float64, copy=False)
     of_steps: FloatArray = np.linalg.pinv(drawn).astype(np.float64, copy=False)
     return of_gains, of_steps
-
-
-def _around(rays: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the rows and columns that contain the given rays, with a margin."""
-    row, column = (np.flatnonzero(rays.any(axis=axis)) for axis in (1, 0))
-    return _widened(row), _widened(column)
-
-
-def _widened(lines: NDArray[np.intp]) -> slice:
-    return slice(max(0, lines[0] - MARGIN), lines[-1] + 1 + MARGIN)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, cast_pose
+from rpod_geometry.windows import window_around
 from rpod_pose.cancellation import stop_if_cancelled
 from rpod_pose.pmd.rendering import RenderingArrays, around
 from rpod_pose.pmd.scene import PmdScene
@@ -141,7 +142,7 @@ class PmdFitter:
         if not known_materials:
             certain_at_most = np.maximum(surface.sigma_log, config.strange_log_amplitude)
             surface = surface._replace(sigma_log=certain_at_most)
-        block = _around(scene.lit | scene.blind)
+        block = window_around(scene.lit | scene.blind, (MARGIN, MARGIN))
         noise_m = np.minimum(scene.sigma_m, config.most_noise_m)
         amplitude = np.log(np.maximum(scene.amplitude, np.float32(0.1)))
         shape = noise_m[block].shape
@@ -205,16 +206,6 @@ class PmdFitter:
         """
         best_R, best_t, spread = _outline_refined(self._compared, R, t, deviations, draws)
         return best_R, best_t, spread
-
-
-def _around(pixels: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the rows and columns that contain the given pixels, with a margin."""
-    row, column = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
-    return _widened(row), _widened(column)
-
-
-def _widened(lines: NDArray[np.intp]) -> slice:
-    return slice(max(0, lines[0] - MARGIN), lines[-1] + 1 + MARGIN)
 
 
 @kernel

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from rpod_geometry.errors import DistortionError
 from rpod_geometry.rays import NEAREST_M
+from rpod_geometry.windows import window_around
 from rpod_pose.pmd.amplitude_unit import least_count
 from rpod_pose.pmd.depth_view import FARTHEST_M, DepthView, offset_of
-from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, upsampled, window_around
+from rpod_pose.surroundings.separation import Every, Label, RangeImage, Spans, upsampled
 from rpod_schemas.arrays import Array
 from rpod_schemas.types import LENS_COEFFICIENTS, Float32Array, PmdFrame
 

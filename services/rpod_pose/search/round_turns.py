@@ -29,8 +29,8 @@ OFF = 0.1
 """Largest distance of a normal's line from the axis, over that of the face. Physics: half of a third of the
 sides of a prism of twelve sides, which counts as round; a triangle's centre is that far from their middle."""
 ROUND = 0.5
-"""Least share of the sides' area that is round, less what is not balanced by area on the other side of the
-axis. Physics: most of the target then looks the same after any turn about the axis."""
+"""Least share of the sides' area that is round. Round area without as much on the other side of the axis does
+not count. Physics: most of the target then looks the same after any turn about the axis."""
 ROUNDS = 20
 """Number of steps in which the place of the axis is found. Numerics: it then moves by less than 1 % of the
 radius."""

@@ -36,10 +36,6 @@ AHEAD = 0.02
 of 50."""
 
 
-Window = tuple[slice, slice]
-"""A part of an image: rows and columns."""
-
-
 class Label(IntEnum):
     """Class of a ray by what it shows."""
 
@@ -178,21 +174,6 @@ def upsampled(
     sizes = zip(shape, image.shape, strict=True)
     rows, columns = (every.nearest(others, count, last - 1) for count, last in sizes)
     return image.take(rows, axis=0).take(columns, axis=1)
-
-
-def window_around(rays: NDArray[np.bool_], margin: Spans) -> Window:
-    """Return the smallest window with some rays and those around them; the whole image if there are none.
-
-    Args:
-        rays: the rays, shape (rows, columns).
-        margin: number of rays around them.
-    """
-    lines = (np.flatnonzero(rays.any(axis=axis)) for axis in (1, 0))
-    rows, columns = (
-        slice(max(0, int(line[0]) - more), int(line[-1]) + 1 + more) if len(line) else slice(None)
-        for line, more in zip(lines, margin, strict=True)
-    )
-    return rows, columns
 
 
 def patches(rays: NDArray[np.bool_]) -> tuple[int, NDArray[np.intp]]:

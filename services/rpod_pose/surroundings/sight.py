@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import RayGrid, cast_pose
+from rpod_geometry.windows import Window, window_around
 from rpod_pose.surroundings.separation import (
     BESIDE,
     Label,
     RangeImage,
     Spans,
-    Window,
     patches,
-    window_around,
     with_bodies,
 )
 from rpod_schemas.arrays import FloatArray

@@ -224,7 +224,7 @@ class Announcements(Generic[ContentT]):
     def release(self, *, keep: str) -> None:
         """Let the content of the session ``keep`` count first, or the newest if it is empty.
 
-        Content of publishers that are not gone goes before that of those that are, as in ``of``.
+        Content of a publisher that is gone comes after that of all others, as in ``of``.
         """
         for known in self._by_name.values():
             kept = [each for each in known if each.peer.session == keep] if keep else list(known)

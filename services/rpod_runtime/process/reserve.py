@@ -1,4 +1,4 @@
-"""A process in reserve: warm, but not on the bus until the process that it stands for has ended.
+"""A process in reserve: warm, but not on the bus until the process that it replaces has ended.
 
 ``rpod up`` starts it like the service, with ``$RPOD_RESERVE`` set. It reads its configuration, imports, warms
 up, and waits before it opens its node. Its turn has come when the service manager writes to its standard
