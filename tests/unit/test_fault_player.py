@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from rpod.play.command import run_command
+from rpod.play.command import ends_early, run_command
 from rpod.play.facility import configure
 from rpod.play.fault_player import FaultPlayer
 from rpod.play.secure_run import ROLES, secured
@@ -173,3 +173,8 @@ def test_a_slow_link_is_set_on_both_sides_and_a_stream_of_reduced_rate_is_record
     assert {link.lease_s for link in links} == {4.0}
     assert facility.services["logger"].record_extra == ("0/slow/pmd/**",)
     assert replace(facility).proxy is None
+
+
+def test_a_log_that_ends_early_is_told_with_the_remedy() -> None:
+    assert not ends_early(59.2, 60.0)
+    assert "ends after 1.2 of 20 s" in ends_early(1.2, 20.0)

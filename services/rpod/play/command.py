@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from rpod_analysis.report import ReportPaths
 
 
+LEAST_LOGGED = 0.9
+"""Least share of a run that its log has to contain. Numerics: without a fault it misses a frame at most."""
+
+
 def run_command(
     name: str,
     *,
@@ -66,7 +70,19 @@ def run_command(
         print(summary.model_dump_json(indent=2))
     else:
         _print(summary, paths)
+    if early := ends_early(summary.duration_s, scenario.duration_s):
+        return failed("run", RunError(early))
     return EXIT_OK
+
+
+def ends_early(logged_s: float, duration_s: float) -> str:
+    """Return what is wrong and the remedy if a log ends well before its run; empty otherwise."""
+    if logged_s >= LEAST_LOGGED * duration_s:
+        return ""
+    return (
+        f"the log ends after {logged_s:.1f} of {duration_s:g} s, and so do the figures; a warning of the "
+        "logger above says why (a full disk, for example): mend it and run again"
+    )
 
 
 def _folder(out: Path, scenario: Scenario) -> RunFolder:
