@@ -107,7 +107,7 @@ def needed(
     grown = _grown(before, predicted, config)
     S, acceleration, angular = found.covariance, *before.factors
     by_angular = _least(found.difference, S, grown.by_angular, ATTITUDE)
-    S = S + (by_angular - 1.0) * grown.by_angular
+    S = S + (min(by_angular, float(_STEPS[-1])) - 1.0) * grown.by_angular
     by_acceleration = _least(found.difference, S, grown.by_acceleration, POSITION)
     return Manoeuvre(acceleration * by_acceleration, angular * by_angular)
 

@@ -281,6 +281,16 @@ def test_a_model_that_states_its_own_noise_is_not_said_to_be_raised():
     assert calm.may_be_raised == (True, False)
 
 
+def test_a_turn_that_no_acceleration_explains_leaves_the_factor_of_the_position_known():
+    """A half turn within a 45th of a second, beside a place that is where it was predicted."""
+    config, pose, known = FilterConfig(), make_pose(translation_m=[0.0, 0.0, 5.0]), np.diag(NOISE**2)
+    calm = replace(start(pose, known, 0, config=config), covariance=1e-6 * np.eye(12))
+    half_turn = make_pose(rotation=Rotation.from_rotvec([0.0, 3.1, 0.0]), translation_m=pose.translation)
+    measured = PoseMeasurement(round(SECOND_NS / 45.0), half_turn, known, alone=True)
+    factors = needed(calm, predict(calm, measured.stamp_ns, config), measured, config)
+    assert factors == (1.0, np.inf)
+
+
 STATED = ErrorParts.lasting_model(np.diag(NOISE**2), np.zeros((6, 6)))
 
 
