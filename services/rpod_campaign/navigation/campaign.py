@@ -1,5 +1,6 @@
 """``navigation``: its cells, and the campaign as one object."""
 
+from dataclasses import replace
 from typing import Any
 
 from rpod_campaign.engine.campaign import Campaign
@@ -9,6 +10,10 @@ from rpod_campaign.navigation import trial
 from rpod_campaign.navigation.options import Options
 from rpod_campaign.navigation.report import sections, summarise
 from rpod_campaign.navigation.trial import FRAME, NavigationCell
+from rpod_campaign.pmd.cells import approaching, calibrated
+from rpod_campaign.pmd.world import NOMINAL, World
+from rpod_campaign.pmd_robustness.campaign import case_ranges_m
+from rpod_campaign.pmd_robustness.trial import CASES
 from rpod_schemas.config.base import check
 from rpod_schemas.config.emulator import WorldName
 from rpod_schemas.config.scenario import Scenario
@@ -29,18 +34,41 @@ def cells(options: Options) -> list[NavigationCell]:
             rate_hz=rate_hz,
             mounts=mounts,
             motion=motion,
-            document=_document(scenario, target, world, rate_hz),
+            case=case,
+            pixels=_pixels(case),
+            document=_document(_in_case(scenario, target, case), target, world, rate_hz),
         )
         for scenario in (_found(options, name) for name in options.scenario)
         for target in targets(options.target or (scenario.target,))
+        for case in options.case
         for world in options.world
         for rate_hz in _rates(options, scenario)
         for mounts in options.mounts
         for motion in options.motion
-        for off_mm in options.off_mm
+        for off_mm in _off_mm(options, case)
         for misbuilt in (options.misbuilt if off_mm else ("parts",))
         for declared in (options.declared if off_mm else (1.0,))
     ]
+
+
+def _in_case(scenario: Scenario, target: str, case: str) -> Scenario:
+    """Return a scenario with the cameras' calibration and the range of a case of ``pmd-robustness``."""
+    if case not in CASES:
+        return scenario
+    if not any(sensor.kind == "pmd" for sensor in scenario.sensors):
+        raise ConfigurationError("--case", "", f"{case!r} needs a camera, which {scenario.name} has not")
+    seen = calibrated(scenario).model_copy(update={"target": target})
+    return approaching(seen, case_ranges_m(seen, CASES[case]))
+
+
+def _pixels(case: str) -> World:
+    """Return the pixels that the cameras lose in a case; its other errors are the cell's own."""
+    return replace(CASES[case].world, cad_error_m=0.0) if case in CASES else NOMINAL
+
+
+def _off_mm(options: Options, case: str) -> tuple[float, ...]:
+    """Return how far targets are off in a case, mm; those of the options in the scenario as it is."""
+    return (1e3 * CASES[case].world.cad_error_m,) if case in CASES else options.off_mm
 
 
 def _rates(options: Options, scenario: Scenario) -> tuple[float | None, ...]:

@@ -21,6 +21,12 @@ class Options(CampaignOptions):
     target: tuple[Annotated[str, Field(min_length=1)], ...] = ()
     """Targets instead of that of the scenario, with its motion: names, or paths of parameter files."""
     world: Worlds = ("documented",)
+    case: Annotated[
+        tuple[Literal["scenario", "nominal", "cad-1mm", "cad-3mm", "depth-lost", "glints", "close"], ...],
+        Field(min_length=1),
+    ] = ("scenario",)
+    """The scenario as it is, or a case of pmd-robustness with the scenario's motion and light: calibrated
+    cameras, that case's range, parts that are off, and pixels without depth or light."""
     seconds: Positive = 4.0
     """Length of a trial, s; it begins anywhere in the scenario. The scenario's duration or more plays all of
     it."""

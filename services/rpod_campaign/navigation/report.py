@@ -151,6 +151,8 @@ def _name(cell: NavigationCell) -> tuple[str, ...]:
     declared = number(cell.declared if cell.off_mm else None)
     what = cell.misbuilt if cell.off_mm else number(None)
     scenario = in_world(cell.scenario, cell.world)
+    if cell.case != "scenario":
+        scenario = f"{scenario}, {cell.case}"
     off = (f"{cell.off_mm:g}", what, declared)
     return scenario, cell.target, number(cell.rate_hz), cell.motion, cell.mounts, *off
 

@@ -20,9 +20,10 @@ from rpod_campaign.engine.trial.streams import stream
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.navigation.driven_motion import DrivenMotion
 from rpod_campaign.pmd.scene import motion_of, scenario_of
-from rpod_campaign.pmd.world import World, built
+from rpod_campaign.pmd.world import NOMINAL, World, built, disturbed
 from rpod_campaign.sequences.judged import Arrived, judged
 from rpod_emulator.local_sensor import LocalSensor
+from rpod_geometry.rays import RayGrid, cast
 from rpod_motion.motion import Motion
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import kind_methods, ready_methods
@@ -33,16 +34,16 @@ from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.scenario import Scenario
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.schedule import lockstep_steps
-from rpod_schemas.types import Integrity
+from rpod_schemas.types import Integrity, PmdFrame
 from rpod_target import Target
 from rpod_target.mesh.topology import unit_normals
 from rpod_target.variation import Variation
 
 FRAME = "frame"
 """Column that distinguishes the rows of a trial."""
-_BEGIN, _BUILT, _NOISE, _MOUNTS, _DRIVEN = range(31, 36)
+_BEGIN, _BUILT, _NOISE, _MOUNTS, _DRIVEN, _LOSS = range(31, 37)
 """Streams of random numbers: the beginning, errors of the target, the sensors' noise, stated mounts,
-accelerations."""
+accelerations, lost pixels."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,10 @@ class NavigationCell:
     """Mounts that the sensors state: those of the scenario, as ``stated``, or ``drawn`` in each trial."""
     motion: str = "scenario"
     """Motion of the ``scenario``, or ``driven`` by white accelerations of the filter's densities as well."""
+    case: str = "scenario"
+    """Name of a case of ``pmd-robustness``, or ``scenario``."""
+    pixels: World = NOMINAL
+    """Pixels that the cameras lose."""
     document: str = field(default="", repr=False)
     """JSON of the scenario."""
 
@@ -156,6 +161,7 @@ def _frames(
     )
     local = {name: LocalSensor(config, sensor, target) for name, sensor in sensors.items()}
     mounts = stated_mounts(cell, scenario, stream(seed, trial, _MOUNTS))
+    loss = stream(seed, trial, _LOSS)
     range_m = {sensor.name: sensor.range_m or (0.0, np.inf) for sensor in scenario.estimator.sensors}
     for step in lockstep_steps(scenario.sensors, epoch_ns=scenario.epoch_ns, duration_s=scenario.duration_s):
         due, sensor = step.frame, sensors[step.frame.sensor]
@@ -170,8 +176,20 @@ def _frames(
         if not least_m <= np.linalg.norm(now.translation) <= greatest_m:
             continue
         frame = local[due.sensor].frame(poses, motion.sun_W_m2(time_s), due)
+        if isinstance(frame, PmdFrame):
+            frame = without_pixels(frame, cell.pixels, target, now, loss)
         if frame is not None:
             yield Arrived(time_s, Measurement(due.sensor, frame, mounts[due.sensor]))
+
+
+def without_pixels(
+    frame: PmdFrame, pixels: World, target: Target, T_sensor_target: RigidTransform, generator: Generator
+) -> PmdFrame:
+    """Return an image of a target without the pixels that are lost."""
+    if pixels == NOMINAL:
+        return frame
+    hits = cast(RayGrid.pinhole(frame.camera), target.triangles_m, T_sensor_target)
+    return disturbed(frame, pixels, generator, seen=hits.triangle >= 0)
 
 
 def misbuilt(cell: NavigationCell, target: Target, generator: Generator) -> Target:

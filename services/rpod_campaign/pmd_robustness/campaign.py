@@ -24,7 +24,9 @@ def cells(options: Options) -> list[SequenceCell]:
             radius_px=radius_px,
             frames=frames,
             through=through,
-            document=approaching(calibrated(scenario), _ranges_m(scenario, CASES[name])).model_dump_json(),
+            document=approaching(
+                calibrated(scenario), case_ranges_m(scenario, CASES[name])
+            ).model_dump_json(),
             target=scenario.target,
             model=scenario.estimator.target or "",
             case=name,
@@ -38,7 +40,7 @@ def cells(options: Options) -> list[SequenceCell]:
     ]
 
 
-def _ranges_m(scenario: Scenario, case: Case) -> tuple[float, float]:
+def case_ranges_m(scenario: Scenario, case: Case) -> tuple[float, float]:
     """Return the ranges of a case at the start and the end, m; in proportion to another target's size."""
     target = cached_target(scenario.target)
     reach = ranges_m(None, scenario)[1] / START_M

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
+from pmd_frames import TINY
 
 from rpod.scenarios import find
 from rpod_campaign.engine.campaign import CellResult
@@ -15,9 +16,13 @@ from rpod_campaign.navigation.driven_motion import DrivenMotion
 from rpod_campaign.navigation.options import Options
 from rpod_campaign.navigation.report import over_trials, sections, summarise
 from rpod_campaign.navigation.trial import SCHEMA, NavigationCell
+from rpod_campaign.pmd.scene import scenario_of
+from rpod_campaign.pmd.world import World
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.motion import JointMotionConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.poses import make_pose
+from rpod_schemas.types import PmdFrame
 
 STATION = find("envisat-station")
 MOVING = STATION.motion.model_copy(update={"joints": {"array": JointMotionConfig(angle_deg=10.0)}})
@@ -127,12 +132,39 @@ def test_a_rate_of_cameras_makes_no_more_cells_of_a_scenario_without_one():
     [
         ({"scenario": ("other",)}, "--scenario: needs the path"),
         ({"target": ("no-such-target",)}, "--target"),
+        ({"case": ("close",)}, "--case: 'close' needs a camera"),
         ({"shown": STATION.model_copy(update={"motion": MOVING})}, "has joints that move"),
     ],
 )
 def test_a_wrong_option_is_named(given, named):
     with pytest.raises(ConfigurationError, match=named):
         cells(options(**given))
+
+
+def test_a_case_of_the_robustness_campaign_is_played_with_its_range_and_its_camera():
+    tumbling = find("mockup-tumbling")
+    given = {"shown": tumbling, "case": ("scenario", "nominal", "glints", "close"), "misbuilt": ("surface",)}
+    as_it_is, nominal, glints, close = cells(options(**given))
+    assert scenario_of(as_it_is.document).model_dump_json() == tumbling.model_dump_json()
+    assert [cell.off_mm for cell in (as_it_is, nominal, glints, close)] == [0.0, 0.0, 1.0, 1.0]
+    assert (glints.misbuilt, glints.pixels) == ("surface", World(glint_share=0.4))
+    assert scenario_of(nominal.document).estimator.sensors[0].calibration is not None
+    assert scenario_of(nominal.document).motion.trajectory.end_m[2] == pytest.approx(2.1)
+    assert scenario_of(close.document).motion.trajectory.start_m[2] == pytest.approx(2.1)
+
+
+def test_images_lose_the_pixels_of_a_case():
+    image = np.ones((TINY.height, TINY.width), dtype=np.float32)
+    frame = PmdFrame(stamp_ns=0, frame_id="pmd_optical", depth_m=image, amplitude=image, camera=TINY)
+    target, ahead = cached_target("mockup"), make_pose(translation_m=(0.0, 0.0, 4.0))
+    rng = np.random.default_rng(3)
+    assert trial.without_pixels(frame, World(), target, ahead, rng) is frame
+    lost = trial.without_pixels(frame, World(depth_lost_share=0.5), target, ahead, rng)
+    assert 0.2 < np.isnan(lost.depth_m).mean() < 0.8
+    assert np.array_equal(lost.amplitude, image)
+    wiped = trial.without_pixels(frame, World(glint_share=0.4), target, ahead, rng)
+    assert np.isnan(wiped.depth_m).any()
+    assert (wiped.amplitude[np.isnan(wiped.depth_m)] == 0.0).all()
 
 
 def test_the_surface_of_a_misbuilt_target_is_off_by_the_stated_deviation_in_each_coordinate():
