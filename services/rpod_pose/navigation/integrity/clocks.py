@@ -37,8 +37,13 @@ class Late:
 
     offset_s: float
     sigma_s: float
-    share: float
-    """Share of the difference, as chi-squared, that the clock explains."""
+    share: float = float("nan")
+    """Share of the difference, as chi-squared, that the clock explains; NaN if it was not asked."""
+
+    def evidence(self, pair: Pair) -> dict[str, float]:
+        """Return offset and standard deviation by their names in ``estimate/integrity``."""
+        told = f"{pair.other}_against_{pair.one}_stamps_late"
+        return {f"{told}_s": self.offset_s, f"{told}_sigma_s": self.sigma_s}
 
     def describe(self, pair: Pair) -> str:
         """Return the explanation in words, with its figures."""
@@ -56,8 +61,8 @@ def clock_test(
     *,
     estimate: FilterState,
     config: IntegrityConfig,
-) -> tuple[Statistic, dict[str, float]]:
-    """Return the test whether the solutions of two sensors differ along the motion, and the evidence.
+) -> tuple[Statistic, Late] | None:
+    """Return the test whether two solutions differ along the motion; None for a target at rest.
 
     The covariance of the difference contains the declared errors of both mounts and both clocks. So a
     difference beyond it is not explained by what is declared.
@@ -70,14 +75,10 @@ def clock_test(
     late = late_of(apart, covariance, estimate)
     name = f"{pair.one} and {pair.other} along the motion"
     if late is None:
-        return Statistic(name, 0.0, 1), {}
+        return None
     angle_deg, length_m = np.rad2deg(np.linalg.norm(apart[ATTITUDE])), np.linalg.norm(apart[POSITION])
     differ = f"; they differ by {angle_deg:.2f} deg and {1e3 * length_m:.0f} mm: mounts, or "
-    told = f"{pair.other}_against_{pair.one}_stamps_late"
-    return (
-        Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair)),
-        {f"{told}_s": late.offset_s, f"{told}_sigma_s": late.sigma_s},
-    )
+    return Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair)), late
 
 
 def clock_of_mounts(offset: MountOffset, estimate: FilterState) -> str:

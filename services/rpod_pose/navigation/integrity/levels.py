@@ -129,6 +129,20 @@ def declared_covariance(
     return covariance
 
 
+def above(levels: Levels, limit_deg: float, limit_m: float) -> str:
+    """Return which level is above its alert limit; empty if none is."""
+    for what, level, limit, unit, by in (
+        ("attitude", levels.attitude_deg, limit_deg, "deg", levels.attitude_by),
+        ("position", levels.position_m, limit_m, "m", levels.position_by),
+    ):
+        if not level <= limit:
+            left_out = f" ({by})" if by else ""
+            return (
+                f"protection level of the {what} {level:.3g} {unit}{left_out}, alert limit {limit:.3g} {unit}"
+            )
+    return ""
+
+
 class _Tail:
     """Probability that the error under a hypothesis is above a length, times that of the hypothesis."""
 

@@ -7,11 +7,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.integrity.clock_frames import Apart, TwoClocks
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.past import Past
 from rpod_pose.navigation.integrity.residuals import Residual, recent
 from rpod_pose.navigation.integrity.sizes import SizedFilters
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.messages import NANOSECONDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,10 @@ class Memory:
     """Residuals of each sensor in the window."""
     without: Mapping[str, FilterState] = field(default_factory=dict)
     """Filters without one of several sensors, by that sensor's name."""
+    apart: Mapping[str, tuple[Apart, ...]] = field(default_factory=dict)
+    """Frames of the slower of two sensors, by its name, beside the track of the other."""
+    clocks: TwoClocks | None = None
+    """What two sensors tell of their clocks, or have told last."""
     sized: SizedFilters = field(default_factory=dict)
     """Filters of the poses for other sizes of the target; none if several sensors support the track."""
     past: Past = field(default_factory=Past)
@@ -41,6 +47,28 @@ class Memory:
         newest_ns = max(each[-1].stamp_ns for each in residuals.values())
         kept = {name: recent(each, newest_ns, window_s) for name, each in residuals.items()}
         return replace(self, residuals={name: each for name, each in kept.items() if each})
+
+    @property
+    def slow(self) -> str:
+        """Name of that of two sensors which has fewer frames in the window; empty for any other number."""
+        if len(self.residuals) != 2:
+            return ""
+        return min(sorted(self.residuals), key=lambda name: len(self.residuals[name]))
+
+    def with_apart(self, sensor: str, apart: Apart | None, memory_s: float) -> "Memory":
+        """Return the memory with one more frame of the slower sensor, without those older than a time, s."""
+        if apart is None:
+            return self
+        frames = (*self.apart.get(sensor, ()), apart)
+        newest_ns = max(each.stamp_ns for each in frames)
+        kept = (each for each in frames if newest_ns - each.stamp_ns <= memory_s * NANOSECONDS)
+        return replace(self, apart={sensor: tuple(sorted(kept, key=lambda each: each.stamp_ns))})
+
+    def clocks_at(self, stamp_ns: int, memory_s: float) -> TwoClocks | None:
+        """Return what two sensors have told of their clocks within a time, s, without its tests."""
+        if self.clocks is None or stamp_ns - self.clocks.stamp_ns > memory_s * NANOSECONDS:
+            return None
+        return replace(self.clocks, tests=())
 
     def place_m(self, estimate: FilterState) -> FloatArray:
         """Return the target's position relative to the farthest sensor, chaser axes, shape (3,), m."""

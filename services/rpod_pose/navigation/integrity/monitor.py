@@ -16,21 +16,22 @@ from itertools import combinations
 
 import numpy as np
 
-from rpod_pose.belief import SYMMETRY
-from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
+from rpod_pose.navigation.filter import FilterState, predict
 from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.history import Step, after
-from rpod_pose.navigation.integrity.clocks import Pair, clock_of_mounts, clock_test
+from rpod_pose.navigation.integrity.clock_frames import TwoClocks, apart_of, two_clocks
+from rpod_pose.navigation.integrity.clocks import Pair, clock_of_mounts
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
+    above,
     declared_covariance,
     protection_levels,
     solution,
 )
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.mounts import mount_offsets
-from rpod_pose.navigation.integrity.older import older_solutions
+from rpod_pose.navigation.integrity.older import older_solutions, rival_solutions
 from rpod_pose.navigation.integrity.refused import refused_solutions, turning_solutions
 from rpod_pose.navigation.integrity.residuals import (
     Statistic,
@@ -93,10 +94,12 @@ class Monitor:
         newest = state.history.state
         shown_ns = state.shown_ns if output.odometry is None else output.odometry.stamp_ns
         estimate = predict(newest, max(newest.stamp_ns, shown_ns), self._filter)
-        tests, evidence = self._tests(memory, estimate)
+        clocks = self._clocks(memory, estimate)
+        memory = replace(memory, clocks=clocks)
+        tests, evidence = self._tests(memory, estimate, clocks)
         memory = self._remembered(memory, state, estimate)
         limit = self._limit(memory, state, estimate)
-        levels, less = self._levels(memory, state, output, estimate, limit)
+        levels, less = self._levels(memory, state, output, estimate, limit=limit, clocks=clocks)
         checked = self._checked(
             memory, output, estimate, limit, tests=tests, levels=levels, less=less, evidence=evidence
         )
@@ -126,11 +129,15 @@ class Monitor:
     def _measured(self, memory: Memory, state: NavigatorState, sensor: str, step: Step) -> Memory:
         """Return the memory with a measurement that the filter has compared with its prediction."""
         predicted, measured = step.predicted, step.measurement
+        assert state.history is not None  # noqa: S101 - it has the step
         if measured.origin is not None:
             memory = replace(memory, mounts={**memory.mounts, sensor: measured.origin.T_chaser_sensor})
         residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
         if residual is not None:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
+        if sensor == memory.slow and sensor in memory.without:
+            apart = apart_of(step, state.history.state, memory.without[sensor], self._filter)
+            memory = memory.with_apart(sensor, apart, self._tuning.memory_s)
         alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
         without = self._without(memory, sensor, alone or predicted, predicted, measured)
         sized: SizedFilters = {}
@@ -177,7 +184,9 @@ class Monitor:
 
     # --- tests and levels ---
 
-    def _tests(self, memory: Memory, estimate: FilterState) -> tuple[list[Statistic], dict[str, float]]:
+    def _tests(
+        self, memory: Memory, estimate: FilterState, clocks: TwoClocks | None
+    ) -> tuple[list[Statistic], dict[str, float]]:
         tests: list[Statistic] = []
         evidence: dict[str, float] = {}
         for name, residuals in memory.residuals.items():
@@ -188,6 +197,9 @@ class Monitor:
             evidence |= numbers
         range_m = float(np.linalg.norm(memory.place_m(estimate)))
         tests += memory.frames.tests(range_m, self._tuning.range_share, self._tuning.correlated_s)
+        if clocks is not None:
+            tests += clocks.tests
+            evidence |= clocks.evidence
         for one, other in combinations(sorted(memory.without), 2):
             there = [
                 predict(memory.without[name], estimate.stamp_ns, self._filter)
@@ -195,10 +207,6 @@ class Monitor:
                 if memory.without[name].stamp_ns <= estimate.stamp_ns
             ]
             if len(there) == 2:
-                if len(memory.without) == 2:
-                    test, late = clock_test(Pair(one, other), *there, estimate=estimate, config=self._config)
-                    tests.append(test)
-                    evidence |= late
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
         for offset in mount_offsets(estimate, self._limits):
             cause = clock_of_mounts(offset, estimate)
@@ -207,6 +215,22 @@ class Monitor:
             )
             evidence |= offset.evidence
         return tests, evidence
+
+    def _clocks(self, memory: Memory, estimate: FilterState) -> TwoClocks | None:
+        """Return what two sensors tell of their clocks, or have told before one fell silent."""
+        names = sorted(memory.without)
+        there = [memory.without[name] for name in names]
+        if len(names) != 2 or any(each.stamp_ns > estimate.stamp_ns for each in there):
+            return memory.clocks_at(estimate.stamp_ns, self._tuning.memory_s)
+        by_states = bool(self._filter.mount_sigma_deg or self._filter.mount_sigma_m)
+        return two_clocks(
+            Pair(*names),
+            [predict(each, estimate.stamp_ns, self._filter) for each in there],
+            () if by_states else memory.apart.get(memory.slow, ()),
+            slow=memory.slow,
+            estimate=estimate,
+            config=self._config,
+        )
 
     def _limit(self, memory: Memory, state: NavigatorState, estimate: FilterState) -> tuple[float, float]:
         """Return the alert limits of attitude, deg, and position, m.
@@ -230,15 +254,17 @@ class Monitor:
         state: NavigatorState,
         output: Output,
         estimate: FilterState,
+        *,
         limit: tuple[float, float],
+        clocks: TwoClocks | None,
     ) -> tuple[Levels, str]:
         """Return the protection levels, and the errors that they do not cover, in words.
 
         The levels are those over all fault hypotheses, with three exceptions, so that a further sensor or
-        test does not make an estimate unavailable. The hypothesis that one of several sensors is wrong is
-        left out if the levels with it are above the limits. A part of a sensor's data is left out if its own
-        error is above the limits. Sizes that no frame can exclude are left out if the levels with them are
-        above the limits. The text names the exception.
+        test does not make an estimate unavailable. The hypotheses that one of several sensors, or its clock,
+        is wrong are left out if the levels with them are above the limits. A part of a sensor's data is left
+        out if its own error is above the limits. Sizes that no frame can exclude are left out if the levels
+        with them are above the limits. The text names the exception, but that of a clock.
         """
         share = self._tuning.fault_share
         solutions = [solution("", estimate, estimate, 1.0)]
@@ -246,7 +272,7 @@ class Monitor:
         solutions += older_solutions(state.history, estimate, self._filter, self._tuning)
         solutions += refused_solutions(state.history, share)
         solutions += turning_solutions(estimate, self._filter, share)
-        solutions += self._rivals(output, estimate)
+        solutions += rival_solutions(output.status.hypotheses, estimate, self._config.risk)
         shifts = shifts_of(estimate, memory.sized, self._filter)
         other_sizes, between = memory.frames.size_solutions(
             estimate, self._config.risk, share, self._tuning.correlated_s, shifts
@@ -267,32 +293,23 @@ class Monitor:
         parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
         less = ""
         for part in parts:
-            if vague := _above(levels_of([part.agreeing]), *limit):
+            if vague := above(levels_of([part.agreeing]), *limit):
                 less = f"{SIZE_BELIEVED}: {vague}"
             else:
                 solutions.append(part.solution)
-        if between and (over := _above(levels_of([*solutions, *between]), *limit)):
+        if between and (over := above(levels_of([*solutions, *between]), *limit)):
             less = f"{SIZE_DECLARED}: {over}"
         else:
             solutions += between
+        if clocks is not None:
+            of_clocks = clocks.solutions(estimate, share)
+            if not above(levels_of([*solutions, *of_clocks]), *limit):
+                solutions += of_clocks
         of_sensors = [solution(f"without {name}", estimate, other, share) for name, other in without.items()]
         levels = levels_of([*solutions, *of_sensors])
-        if of_sensors and (over := _above(levels, *limit)):
+        if of_sensors and (over := above(levels, *limit)):
             return levels_of(solutions), f"{DECLARED_ONLY}: {over}"
         return levels, less
-
-    def _rivals(self, output: Output, estimate: FilterState) -> list[Solution]:
-        """Return the other hypotheses that explain the measurements and are more probable than the risk."""
-        return [
-            Solution(
-                each.name,
-                separation_of(estimate, replace(estimate, T_chaser_target=each.pose)),
-                estimate.covariance[POSE, POSE],
-                each.weight,
-            )
-            for each in output.status.hypotheses
-            if each.name not in ("", SYMMETRY) and each.weight > self._config.risk
-        ]
 
     # --- the result ---
 
@@ -311,7 +328,7 @@ class Monitor:
         state, reason = IntegrityState.NOMINAL, ""
         if alert := self._alert(memory, estimate, tests):
             state, reason = IntegrityState.ALERT, alert
-        elif over := _above(levels, *limit):
+        elif over := above(levels, *limit):
             state, reason = IntegrityState.UNAVAILABLE, over
         elif caution := self._caution(output, tests):
             state, reason = IntegrityState.CAUTION, caution
@@ -381,17 +398,3 @@ def _without_newcomers(
     if state.separation is None or sensor in state.established:
         return None
     return state.separation.without.at(stamp_ns, config)
-
-
-def _above(levels: Levels, limit_deg: float, limit_m: float) -> str:
-    """Return which level is above its alert limit; empty if none is."""
-    for what, level, limit, unit, by in (
-        ("attitude", levels.attitude_deg, limit_deg, "deg", levels.attitude_by),
-        ("position", levels.position_m, limit_m, "m", levels.position_by),
-    ):
-        if not level <= limit:
-            left_out = f" ({by})" if by else ""
-            return (
-                f"protection level of the {what} {level:.3g} {unit}{left_out}, alert limit {limit:.3g} {unit}"
-            )
-    return ""

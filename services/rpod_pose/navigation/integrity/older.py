@@ -8,17 +8,20 @@ refusal by chance, times the likelihood ratio of the older poses. The prior is t
 (``refused``).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import exp
 
+from rpod_pose.belief import SYMMETRY
 from rpod_pose.navigation.dynamics.manoeuvre import greatest
-from rpod_pose.navigation.filter import FilterState, Manoeuvre, Steady, predict
+from rpod_pose.navigation.filter import POSE, FilterState, Manoeuvre, Steady, predict, separation_of
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.integrity.frame_evidence import MOST_LOG_ODDS
 from rpod_pose.navigation.integrity.levels import Solution, solution
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.estimator.integrity import IntegrityTuning
 from rpod_schemas.messages import NANOSECONDS
+from rpod_schemas.types import Hypothesis
 
 
 def older_solutions(
@@ -67,3 +70,17 @@ def _predicted(older: FilterState, stamp_ns: int, config: FilterConfig) -> Filte
     return predict(
         replace(older, manoeuvre=bounded(older.manoeuvre), lag=bounded(older.lag)), stamp_ns, config
     )
+
+
+def rival_solutions(hypotheses: Sequence[Hypothesis], estimate: FilterState, risk: float) -> list[Solution]:
+    """Return the other hypotheses that explain the measurements and are more probable than the risk."""
+    return [
+        Solution(
+            each.name,
+            separation_of(estimate, replace(estimate, T_chaser_target=each.pose)),
+            estimate.covariance[POSE, POSE],
+            each.weight,
+        )
+        for each in hypotheses
+        if each.name not in ("", SYMMETRY) and each.weight > risk
+    ]

@@ -105,7 +105,7 @@ def residual_tests(
     z = np.array([each.z for each in residuals])
     late = np.array([each.late for each in residuals])
     span_s = (residuals[-1].stamp_ns - residuals[0].stamp_ns) * 1e-9
-    periods = min(float(len(z)), 1.0 + (span_s / correlated_s if correlated_s else np.inf))
+    periods = periods_of(len(z), span_s, correlated_s)
     mean = z.mean(axis=0)
     bias = periods * float(mean @ mean)
     information = periods * float((late**2).sum(axis=1).mean())
@@ -121,3 +121,8 @@ def residual_tests(
         f"{sensor}: size of its residuals", periods * float((z**2).sum(axis=1).mean()), dof * periods, cause
     )
     return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence
+
+
+def periods_of(count: int, span_s: float, correlated_s: float) -> float:
+    """Return the number of independent frames as which ``count`` frames in a span of time count."""
+    return min(float(count), 1.0 + (span_s / correlated_s if correlated_s else np.inf))
