@@ -24,15 +24,21 @@ from rpod_geometry.rays import RayGrid, cast
 from rpod_logger.writer import LogFile, WriterSettings
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
+from rpod_pose.navigation.dynamics.options import Dynamics
+from rpod_pose.navigation.filter import start
+from rpod_pose.navigation.history import History, apply
+from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_runtime import Inbox, Node, Received
 from rpod_runtime.bus.session import free_endpoint, open_router
 from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_schemas.config.estimator import LidarInput, PmdInput
+from rpod_schemas.config.estimator.dynamics import DynamicsConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.lidar import LidarConfig
 from rpod_schemas.config.motion import FACING
 from rpod_schemas.config.pmd import MAX_RATE_HZ, PmdConfig
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
-from rpod_schemas.messages import write_image
+from rpod_schemas.messages import NANOSECONDS, write_image
 from rpod_schemas.poses import make_pose
 from rpod_schemas.rmw.cdr import encode
 from rpod_schemas.rmw.wire import Attachment
@@ -69,7 +75,7 @@ def bench_command(*, as_json: bool) -> int:
     """Measure and print; return the exit code."""
     console = Console(markup=False, stderr=True, quiet=as_json)
     rows: list[Row] = []
-    for measure in (_rays, _lidar, _pmd, _bus, _log):
+    for measure in (_rays, _lidar, _pmd, _filter, _bus, _log):
         console.print(f"measuring {measure.__name__.strip('_')} ...", style="dim")
         rows += measure()
     if as_json:
@@ -212,6 +218,36 @@ def _pmd() -> Iterator[Row]:
 
 def _turn_deg(angle_deg: float) -> RigidTransform:
     return make_pose(rotation=Rotation.from_rotvec([angle_deg, 0.0, 0.0], degrees=True))
+
+
+def _filter() -> Iterator[Row]:
+    """Measure an update of the filter with a pose of a calm spin, as it is after some poses.
+
+    Without torque, a filter with a constant rate is updated beside the track.
+    """
+    target, sigma = load_target("mockup"), np.repeat([0.003, 0.003], 3)
+    for motion in (DynamicsConfig(), DynamicsConfig(target="torque_free")):
+        dynamics = Dynamics.of(motion, target)
+        state = start(
+            _facing(5.0),
+            np.diag(sigma**2),
+            0,
+            config=FilterConfig(),
+            centre_of_mass_m=target.centre_of_mass_m,
+            blocks=dynamics.blocks_at(0),
+            model=dynamics.model,
+        )
+        for number in range(1, 20):
+            time_s = number / MAX_RATE_HZ
+            pose, stamp_ns = _facing(5.0) * _turn_deg(5.0 * time_s), round(time_s * NANOSECONDS)
+            measured, history = PoseMeasurement(stamp_ns, pose, np.diag(sigma**2), alone=True), History(state)
+            state = apply(history, measured, FilterConfig()).history.state
+        yield _timed(
+            f"filter, one pose, {motion.target}",
+            partial(apply, history, measured, FilterConfig()),
+            runs=200,
+            rate_hz=MAX_RATE_HZ,
+        )
 
 
 def _bus() -> Iterator[Row]:
