@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.navigation.filter import FilterState
+from rpod_pose.navigation.filter import FilterState, predict
 from rpod_pose.navigation.integrity.clock_frames import Apart, TwoClocks
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.past import Past
 from rpod_pose.navigation.integrity.residuals import Residual, recent
 from rpod_pose.navigation.integrity.sizes import SizedFilters
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 
 
@@ -47,6 +48,11 @@ class Memory:
         newest_ns = max(each[-1].stamp_ns for each in residuals.values())
         kept = {name: recent(each, newest_ns, window_s) for name, each in residuals.items()}
         return replace(self, residuals={name: each for name, each in kept.items() if each})
+
+    def without_at(self, stamp_ns: int, config: FilterConfig) -> dict[str, FilterState]:
+        """Return the filters without one of several sensors at a stamp, but those that are newer."""
+        there = {name: each for name, each in self.without.items() if each.stamp_ns <= stamp_ns}
+        return {name: predict(each, stamp_ns, config) for name, each in there.items()}
 
     @property
     def slow(self) -> str:

@@ -218,14 +218,13 @@ class Monitor:
 
     def _clocks(self, memory: Memory, estimate: FilterState) -> TwoClocks | None:
         """Return what two sensors tell of their clocks, or have told before one fell silent."""
-        names = sorted(memory.without)
-        there = [memory.without[name] for name in names]
-        if len(names) != 2 or any(each.stamp_ns > estimate.stamp_ns for each in there):
+        there = memory.without_at(estimate.stamp_ns, self._filter)
+        if not len(there) == len(memory.without) == 2:
             return memory.clocks_at(estimate.stamp_ns, self._tuning.memory_s)
         by_states = bool(self._filter.mount_sigma_deg or self._filter.mount_sigma_m)
         return two_clocks(
-            Pair(*names),
-            [predict(each, estimate.stamp_ns, self._filter) for each in there],
+            Pair(*sorted(there)),
+            [there[name] for name in sorted(there)],
             () if by_states else memory.apart.get(memory.slow, ()),
             slow=memory.slow,
             estimate=estimate,
@@ -279,11 +278,7 @@ class Monitor:
         )
         solutions += other_sizes
         place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
-        without = {
-            name: predict(other, estimate.stamp_ns, self._filter)
-            for name, other in memory.without.items()
-            if other.stamp_ns <= estimate.stamp_ns
-        }
+        without = memory.without_at(estimate.stamp_ns, self._filter)
         followed = memory.frames.ranges_followed(estimate, without, place_m)
         unseen = declared_covariance(self._config, place_m, *moving, followed=followed)
 
