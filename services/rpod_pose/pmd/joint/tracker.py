@@ -1,16 +1,13 @@
 """Tracking by depth and amplitude together: signed distances of points, and positions of edges.
 
 The iterations depend on the prediction. If most edges are near their predicted places, only the last, narrow
-steps are made: a wider search may confuse neighbouring edges, which shifts the pose if there is little depth.
-If many edges are near, a few wider steps come first. If the predicted pose explains the depth moderately, all
-steps are made. Any other prediction is first aligned by depth alone, which needs no edge near its place. If
-the result is inconsistent with the frame, it is moved along the line of sight to where most edges are in
-place, within the bias that the camera may have, and is aligned again. After that the next wider start is
-tried, since the depth may agree before the attitude does.
+steps are made: a wider search may confuse neighbours. If many edges are near, a few wider steps come first.
+All steps are made from any other prediction, moved to where its image is found, then from one that explains
+the depth moderately, and last from a pose by depth alone. If a result is inconsistent with the frame, it is
+moved along the line of sight to where most edges are in place, and is aligned again, before the next start.
 
 The self-check uses both images. With a wrong camera matrix, another target or a mirrored image the depth may
-agree, but the edges do not. If one image shows nothing of the target, only the other one is used, and the
-source of the pose names it.
+agree, but the edges do not. If one image shows nothing of the target, the source names the other one.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -48,6 +45,7 @@ from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
+from rpod_pose.pmd.joint.image_shift import found_in_image
 from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
 from rpod_pose.pmd.joint.whole_image.first_pose import at_likeliest, is_coarse
 from rpod_pose.ports import Registration
@@ -222,6 +220,8 @@ class JointTracker:
             yield State(pose, 0.0), self._near
         elif in_place is not None and in_place >= tuning.near_share:
             yield State(pose, 0.0), self._narrow if in_place >= tuning.accurate_share else self._near
+        if (moved := found_in_image(seen, self._renderer, pose)) is not pose:
+            yield State(moved, 0.0), self._full
         if share >= tuning.fair_share or len(seen.points_m) < tuning.acceptance.min_points:
             yield State(pose, 0.0), self._full
         if len(seen.points_m) >= tuning.acceptance.min_points:
