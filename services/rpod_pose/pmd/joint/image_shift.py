@@ -29,7 +29,7 @@ def found_in_image(seen: JointFrame, renderer: PatchRenderer, pose: PoseArrays) 
     patch = seen.patch
     if not patch.typical:  # no amplitude
         return pose
-    shown = renderer.render(seen.rays, seen.per_px, pose, patch)
+    shown = renderer.render(seen.rays, seen.per_px, pose, patch).shown
     if not shown.typical:
         return pose
     expected, (row, column, rows, columns) = np.zeros_like(patch.image), shown.window
