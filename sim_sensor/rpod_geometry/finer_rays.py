@@ -3,7 +3,8 @@
 A few rays for each pixel tell the place of an edge only to their distance. Rays that are cast through the
 whole target take too long. So the rays of a pixel are tested against the triangles that coarser rays in and
 around it meet. A ray that meets none of them may meet a smaller triangle. The surface is followed beyond the
-sides that the ray lies across, as long as it faces the sensor.
+sides that the ray lies across, as long as it faces the sensor. Where all coarser rays in and around a pixel
+meet the target, a ray that still meets none has the hit of the nearest of them: no sky is seen there.
 """
 
 from typing import NamedTuple
@@ -87,6 +88,8 @@ def finer_hits(
                 if crossed & (1 << side):
                     count = _listed(tried, count, surface.beyond[k, side])
             m += 1
+        if _missed(met, p):
+            _fill_covered(triangle, around, per_px, (sides, middle, linear), places, (met, inverse), p)
     return FinerHits(met, inverse)
 
 
@@ -220,6 +223,49 @@ def _test(
         wins = (a >= 0.0) & (b >= 0.0) & (c >= 0.0) & (near > inverse[p, n])
         inverse[p, n] = near if wins else inverse[p, n]
         met[p, n] = np.int32(k) if wins else met[p, n]
+
+
+@inlined_kernel
+def _fill_covered(  # noqa: PLR0917
+    triangle: NDArray[np.int32],
+    around: _Around,
+    per_px: int,
+    lines: tuple[FloatArray, FloatArray, Float32Array],
+    places: tuple[Float32Array, Float32Array],
+    hits: tuple[NDArray[np.int32], Float32Array],
+    p: int,
+) -> None:
+    """Give rays without a hit that of the nearest coarser ray, if all in and around the pixel have hits.
+
+    Args:
+        triangle: as in ``finer_hits``, shape (per_px * rows, per_px * columns).
+        around: the coarser rays.
+        per_px: number of coarser rays for each pixel, along rows and columns.
+        lines: ``sides``, ``middle`` and ``linear`` as for ``_fill_linear``.
+        places: as for ``_test``.
+        hits: as in ``FinerHits``, input and output.
+        p: number of the pixel.
+    """
+    (sides, middle, linear), (down, across), (met, inverse) = lines, places, hits
+    for v in range(around.top, around.bottom + 1):
+        for u in range(around.left, around.right + 1):
+            if triangle[v, u] < 0:
+                return
+    for n in range(SAMPLES * SAMPLES):
+        if met[p, n] >= 0:
+            continue
+        row = around.top + round((around.down + down[n]) * per_px)
+        column = around.left + round((around.across + across[n]) * per_px)
+        row = min(max(row, around.top), around.bottom)
+        column = min(max(column, around.left), around.right)
+        k = triangle[row, column]
+        _fill_linear(sides, k, middle, linear)
+        v_px = (row - around.top) / per_px - around.down
+        u_px = (column - around.left) / per_px - around.across
+        near = 0.0
+        for i in range(3):
+            near += linear[i] + v_px * linear[3 + i] + u_px * linear[6 + i]
+        met[p, n], inverse[p, n] = k, near
 
 
 @inlined_kernel

@@ -71,6 +71,20 @@ def test_rays_of_a_pixel_meet_what_rays_through_the_whole_target_meet(mesh, alik
     assert abs(share[edges].mean()) < 0.02
 
 
+@pytest.mark.parametrize("per_px", [1, 2])
+def test_a_pixel_within_a_surface_of_many_facets_shows_no_sky(per_px):
+    triangles_m = np.ascontiguousarray(trimesh.creation.icosphere(subdivisions=6).triangles)  # 60 a pixel
+    pose = make_pose(translation_m=(0.1, -0.05, 3.0))
+    rays = RayGrid.pinhole(CAMERA, per_px).in_single_precision()
+    coarse = cast(rays, triangles_m, pose, cull_back_faces=True)
+    inner = np.argwhere(coarse.range_m[::per_px, ::per_px] < 2.3)  # within its limb
+    surface = Surface(triangles_m, beyond_sides(triangles_m), np.eye(3), np.array(pose.translation))
+    triangle, inverse = hits_of(rays.components, coarse.triangle, per_px, inner.astype(np.int32), surface)
+    assert (triangle >= 0).all()
+    nearest_m = 1.0 / inverse.max(axis=1)
+    np.testing.assert_allclose(nearest_m, coarse.range_m[tuple(per_px * inner.T)], atol=0.05)
+
+
 def test_the_triangle_beyond_a_side_is_that_with_the_opposite_edge():
     box = np.ascontiguousarray(trimesh.creation.box().triangles)
     beyond = beyond_sides(box)
