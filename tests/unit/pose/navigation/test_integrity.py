@@ -280,7 +280,8 @@ def test_stamps_50_ms_off_beside_another_sensor_are_an_alert_that_names_clock_an
 def test_a_slow_sensor_tells_the_clock_of_a_fast_one_by_all_its_scans(late_s, monkeypatch):
     """Between scans the target may accelerate: a filter of the LIDAR alone knows the clock to 70 ms."""
     monkeypatch.setitem(globals(), "truth", spin)
-    config = FilterConfig(attitude_floor_deg=0.0, position_floor_m=0.0, correlation_inflation=1.0)
+    tuning = FilterTuning(correlation_inflation=1.0)
+    config = FilterConfig(attitude_floor_deg=0.0, position_floor_m=0.0, tuning=tuning)
     settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=config)
     track, off = (
         Track(Monitor(settings), np.random.default_rng(7), config=config),
