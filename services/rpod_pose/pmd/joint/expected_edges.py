@@ -260,6 +260,10 @@ class Sights:
             self._seen[number] = self._edges_of(self._rendered[number].shown)
         return self._seen[number]
 
+    def shown_at(self, pose: PoseArrays) -> Shown:
+        """Return a rendering at a pose, or an earlier one whose pose is near enough."""
+        return self._rendered[self._rendered_near(pose, STILL_PX)].shown
+
     def finally_at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at an aligned pose, with a brightness that follows the image within surfaces.
 

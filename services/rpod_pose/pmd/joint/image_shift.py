@@ -8,14 +8,14 @@ at once: its rendering is compared with the frame at every shift by whole pixels
 import cv2
 import numpy as np
 
-from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
+from rpod_pose.pmd.joint.brightness.patch_renderer import Shown
 from rpod_pose.pmd.joint.frame import MARGIN_PX, JointFrame
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_schemas.types import Float32Array
 
 
-def found_in_image(seen: JointFrame, renderer: PatchRenderer, pose: PoseArrays) -> PoseArrays:
-    """Return a pose, moved across the line of sight to where the image fits its rendering best.
+def found_in_image(seen: JointFrame, shown: Shown) -> PoseArrays:
+    """Return the pose of a rendering, moved across the line of sight to where the image fits it best.
 
     The result is the same object if it fits best where it is, or if nothing tells.
 
@@ -23,14 +23,10 @@ def found_in_image(seen: JointFrame, renderer: PatchRenderer, pose: PoseArrays) 
 
     Args:
         seen: the frame, around the pose.
-        renderer: renders the target in this frame.
-        pose: a predicted pose.
+        shown: the target rendered at a predicted pose.
     """
-    patch = seen.patch
-    if not patch.typical:  # no amplitude
-        return pose
-    shown = renderer.render(seen.rays, seen.per_px, pose, patch).shown
-    if not shown.typical:
+    patch, pose = seen.patch, shown.pose
+    if not (patch.typical and shown.typical):  # no amplitude, or nothing in view
         return pose
     expected, (row, column, rows, columns) = np.zeros_like(patch.image), shown.window
     expected[row : row + rows, column : column + columns] = _clipped(shown.shade, shown.typical)

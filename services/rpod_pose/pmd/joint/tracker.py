@@ -140,7 +140,7 @@ class JointTracker:
             return Registration.none(Source.PMD_JOINT, seen)
         tried: list[_Tried] = []
         sights = self._sights(seen)
-        for start, schedule in self._starts(seen, sights.at(pose)):
+        for start, schedule in self._starts(seen, sights, pose):
             aligned = self._aligned(seen, sights, start, schedule)
             tried.append(_Tried(aligned, self._registered(seen, sights, aligned, len(schedule))))
             ends = State(aligned.fit.state.pose, 0.0)
@@ -211,16 +211,18 @@ class JointTracker:
         again = self._registered(seen, sights, best, found.iterations + len(schedule))
         return again if again.continues_track >= found.continues_track else found
 
-    def _starts(self, seen: JointFrame, sight: EdgeSight) -> Iterator[tuple[State, FloatArray]]:
+    def _starts(
+        self, seen: JointFrame, sights: Sights, pose: PoseArrays
+    ) -> Iterator[tuple[State, FloatArray]]:
         """Yield starting poses with their schedules, shape (S, 2); those with the fewest steps come first."""
-        tuning, pose = self._tuning, sight.expected.pose
+        tuning, shown = self._tuning, sights.shown_at(pose)
         share = self._check.explained(seen, pose, self._buffers_of(seen.view))
-        in_place = self._in_place(seen, sight, pose)
+        in_place = self._in_place(seen, sights.at(pose), pose)
         if in_place is None and share >= tuning.fair_share:
             yield State(pose, 0.0), self._near
         elif in_place is not None and in_place >= tuning.near_share:
             yield State(pose, 0.0), self._narrow if in_place >= tuning.accurate_share else self._near
-        if (moved := found_in_image(seen, self._renderer, pose)) is not pose:
+        if (moved := found_in_image(seen, shown)) is not shown.pose:
             yield State(moved, 0.0), self._full
         if share >= tuning.fair_share or len(seen.points_m) < tuning.acceptance.min_points:
             yield State(pose, 0.0), self._full
@@ -274,12 +276,7 @@ class JointTracker:
         return depth_loss(problem, state) + misfit
 
     def _aligned_by(
-        self,
-        seen: JointFrame,
-        sights: Sights,
-        state: State,
-        schedule: FloatArray,
-        errors: EdgeErrors,
+        self, seen: JointFrame, sights: Sights, state: State, schedule: FloatArray, errors: EdgeErrors
     ) -> Aligned:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 

@@ -33,7 +33,7 @@ def found(shown: PmdFrame, T: RigidTransform) -> tuple[PoseArrays, PoseArrays]:
     pose = PoseArrays.of(T)
     seen = JointFrame.of(shown, pose.t, radius_m=MOCKUP.radius_m, tuning=TUNING)
     assert isinstance(seen, JointFrame)
-    return pose, found_in_image(seen, RENDERER, pose)
+    return pose, found_in_image(seen, RENDERER.render(seen.rays, seen.per_px, pose, seen.patch).shown)
 
 
 @pytest.mark.parametrize("off_px", [(13.0, -6.0), (-9.0, 12.0)])
