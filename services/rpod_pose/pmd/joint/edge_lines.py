@@ -34,6 +34,8 @@ class Lines(NamedTuple):
     """Gradients, shape (L, 7)."""
     informations: FloatArray
     """Information matrices, shape (L, 7, 7)."""
+    bends: FloatArray
+    """By how much the second derivatives of the loss are less than these, shape (L, 7, 7)."""
 
 
 @kernel
@@ -52,6 +54,7 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
     ends = np.append(np.flatnonzero(np.diff(of_sample[order])) + 1, order.size)
     number = ends.size if order.size else 0
     gradients, informations = np.zeros((number, UNKNOWNS)), np.zeros((number, UNKNOWNS, UNKNOWNS))
+    bends = np.zeros_like(informations)
     sight = problem.sight
     for k in range(number):
         mine = order[(ends[k - 1] if k else 0) : ends[k]]
@@ -66,10 +69,11 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
         )
         sums = no_sums()
         part = EdgeSight(sight.edges, sight.lens, sight.patch, some)
-        add_edge_points(sums, part, state.pose, reach, problem.edge_errors, False)
+        found = add_edge_points(sums, part, state.pose, reach, problem.edge_errors)
         gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
         informations[k] = information_of(shares.edges * sums, UNKNOWNS)
-    return Lines(gradients, informations)
+        bends[k] = information_of(shares.edges * found.bend, UNKNOWNS)
+    return Lines(gradients, informations, bends)
 
 
 def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> FloatArray:
@@ -80,18 +84,19 @@ def jackknife(lines: Lines, covariance: FloatArray, *, samples: FloatArray) -> F
 
     Args:
         lines: normal equations of the lines.
-        covariance: covariance by all residuals and priors, shape (7, 7).
+        covariance: inverse of the second derivatives of the whole loss, shape (7, 7).
         samples: covariance if the errors of all samples were independent, shape (7, 7).
     """
     seen = np.einsum("lii->l", lines.informations) > 0.0
-    gradients, informations = lines.gradients[seen], lines.informations[seen]
+    gradients, informations = lines.gradients[seen], (lines.informations - lines.bends)[seen]
     number = len(gradients)
     if number <= OF_POSE:
         return samples
     # in coordinates in which the whole information is the identity, eigenvalues of a line are its shares
     root = np.linalg.cholesky(covariance)
     whole, scaled = root.T @ informations @ root, gradients @ root
-    large = np.einsum("lii->l", whole) > MOST_LEVERAGE  # if the sum of the shares is smaller, each share is
+    most = np.einsum("lii->l", root.T @ lines.informations[seen] @ root)
+    large = most > MOST_LEVERAGE  # if the sum of the shares is smaller, each share is
     steps = np.empty_like(scaled)
     steps[~large] = np.linalg.solve(np.eye(UNKNOWNS) - whole[~large], scaled[~large, :, None])[..., 0]
     shares, vectors = np.linalg.eigh(whole[large])

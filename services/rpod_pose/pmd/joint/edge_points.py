@@ -19,7 +19,13 @@ from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
 from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
-from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
+from rpod_pose.registration.normal_equations import (
+    SUMS,
+    add_residual,
+    geman_mcclure,
+    geman_mcclure_bend,
+    gradient_of,
+)
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
@@ -67,7 +73,8 @@ class EdgeShifts(NamedTuple):
     pull: float
     """Sum of their weighted residuals, px."""
     every: FloatArray
-    """Normal equations of all inliers for residuals of one pixel, shape (35,)."""
+    """Normal equations of all inliers for residuals of one pixel with the curvature of the loss as weight,
+    shape (35,)."""
 
 
 class EdgeEvidence(NamedTuple):
@@ -92,6 +99,8 @@ class EdgeEvidence(NamedTuple):
     """Sum of the variances of the inliers' positions caused by the image's noise."""
     shifts: EdgeShifts
     """What shifts that edges share would do."""
+    bend: FloatArray
+    """Normal equations with weights less the curvature of the loss as weight, shape (35,)."""
 
 
 @kernel
@@ -117,8 +126,8 @@ def add_edge_points(  # noqa: PLR0917
         pose: pose to linearise at.
         reach: half length of the search, px.
         errors: assumed errors of edges.
-        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``
-            and ``shifts.every`` are 0: a fit needs them in its last step only.
+        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``,
+            ``bend`` and ``shifts.every`` are 0: a fit needs them in its last step only.
     """
     edges, lens, patch, expected_edges = sight
     R, places, directions = pose.R, edges.places_m, edges.directions
@@ -126,6 +135,7 @@ def add_edge_points(  # noqa: PLR0917
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
     of_shifts = _ShiftSums(np.zeros(SUMS), np.zeros(SUMS), np.zeros(2))
+    bend = np.zeros(SUMS)
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
@@ -153,15 +163,21 @@ def add_edge_points(  # noqa: PLR0917
             continue
         kx, ky, kz = _slope(R, seen)
         normal, at_m, before = Vector(-kx, -ky, -kz), _row(places, n), expected_edges.before[m]
-        weight = geman_mcclure(e2, c2) / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
+        own = 1.0 / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
+        weight, bent = own * geman_mcclure(e2, c2), 0.0
         add_residual(sums, normal, at_m, -place, weight)
+        if counted:
+            bent = own * geman_mcclure_bend(e2, c2)
+            add_residual(bend, normal, at_m, 0.0, bent)
         if e2 < c2:
             inliers, squares = inliers + 1, squares + e2
             noise_px2 += noisy_px**2
-            edge = SideEdge(normal, at_m, place, weight, before)
+            edge = SideEdge(normal, at_m, place, weight, weight - bent, before)
             shifted += _add_shifts(of_shifts, image, saturated, line, edge, counted)
     shifts = EdgeShifts(of_shifts.beside, of_shifts.shift[0], of_shifts.shift[1], of_shifts.every)
-    return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts)
+    return EdgeEvidence(
+        squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts, bend
+    )
 
 
 class _ShiftSums(NamedTuple):
@@ -170,7 +186,7 @@ class _ShiftSums(NamedTuple):
     beside: FloatArray
     """Inliers beside saturated pixels, shape (35,)."""
     every: FloatArray
-    """All inliers, shape (35,)."""
+    """All inliers with their curvatures, shape (35,)."""
     shift: FloatArray
     """Weight and pull, shape (2,)."""
 
@@ -186,6 +202,8 @@ class SideEdge(NamedTuple):
     """Its place on the line across it, px."""
     weight: float
     """Weight of its residual."""
+    curvature: float
+    """Second derivative of its loss."""
     before: bool
     """Whether it is an outline before something bright."""
 
@@ -263,7 +281,7 @@ def _add_shifts(  # noqa: PLR0917
         return 0
     darker, shared = darker_side(image, line, edge.place), 0
     if counted:
-        add_residual(sums.every, edge.normal, edge.at, darker, edge.weight)
+        add_residual(sums.every, edge.normal, edge.at, darker, edge.curvature)
     if edge.before or is_beside_saturated(saturated, line, edge.place):
         add_residual(sums.beside, edge.normal, edge.at, darker, edge.weight)
         sums.shift[0] += edge.weight

@@ -143,12 +143,12 @@ def joint_shares(problem: JointProblem, state: State) -> Shares:
 
 @kernel
 def cell_information(problem: JointProblem, state: State, shares: Shares) -> FloatArray:
-    """Return the information of some points and edges, with the weights that all of them have, (7, 7)."""
+    """Return the second derivatives of the loss of some points and edges, weighted as all are, (7, 7)."""
     scale, reach = problem.schedule[-1]
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
-    add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors, False)
-    return information_of(shares.points * sums + shares.edges * of_edges, UNKNOWNS)
+    edges = add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
+    return information_of(shares.points * sums + shares.edges * (of_edges - edges.bend), UNKNOWNS)
 
 
 @linearises(JointProblem)

@@ -46,7 +46,7 @@ from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.image_shift import found_in_image
-from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, uncertainty
+from rpod_pose.pmd.joint.uncertainty import JointModelError, Uncertainty, inverse_curvature, uncertainty
 from rpod_pose.pmd.joint.whole_image.first_pose import at_likeliest, is_coarse
 from rpod_pose.ports import Registration
 from rpod_pose.registration.distance_field import field_arrays
@@ -357,12 +357,15 @@ class JointTracker:
         sight = last.sight if moved < CERTAIN_PX else sights.at(fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
-        alone: FloatArray = np.linalg.inv(fit.information + self._weak).astype(np.float64)
+        lines = line_sums(problem, fit.state, shares, self._lines)
+        information = fit.information + self._weak
+        alone = inverse_curvature(information, lines.bends.sum(axis=0))
         return uncertainty(
             aligned,
             alone,
             self._model_error.added(fit, problem, shares, alone),
-            lines=line_sums(problem, fit.state, shares, self._lines),
+            assumed=np.linalg.inv(information),
+            lines=lines,
             weak=self._weak,
             bias_m=self._depth_errors.bias_m,
             radius_px=seen.radius_px(self._target.radius_m),

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from rpod_pose.pmd.joint.alternatives import Aligned
 from rpod_pose.pmd.joint.edge_lines import Lines, jackknife
@@ -19,10 +20,14 @@ from rpod_target import Target
 MIXED_PX = 1.0
 """Motion of the image after which errors of edges by mixed pixels have a correlation of 1/e. Physics: then an
 edge lies on other pixels."""
-COMMON_PX = 0.066
+COMMON_PX = 0.014
 """Standard deviation of a shift towards the darker side that all edges of a frame share, px: of blur, stray
 light and brightness that the rendering does not have. Campaign: RMS of the excess over the stated errors of
 242 frames of the mock-up and 15 bodies of the derived half (seeds 62, 63), aligned from the true pose."""
+
+LEAST_CURVATURE = 0.1
+"""Least second derivative of the loss along a motion, over its weight. Numerics: below it, the quadratic
+expansion at the pose does not tell how far errors move the minimum."""
 
 
 class BiasErrors(NamedTuple):
@@ -93,11 +98,29 @@ class JointModelError:
         return self._error.considered(alone, np.array(parts), np.array(centres_m))
 
 
+def inverse_curvature(information: FloatArray, bend: FloatArray) -> FloatArray:
+    """Return the inverse of the second derivatives of the loss, shape (7, 7).
+
+    A robust loss is less curved than its weights say, because a larger residual has a smaller weight. So
+    errors move its minimum farther than they move that of a sum of weighted squares (P. Huber, Robust
+    Statistics, Wiley 1981, section 6.3: with the second derivatives A and the covariance J of the gradient,
+    the covariance of the minimum is A^-1 J A^-1).
+
+    Args:
+        information: information matrix by the weights, shape (7, 7).
+        bend: what it has more than the second derivatives, shape (7, 7).
+    """
+    shares, root = eigh(information - bend, information)
+    scaled: FloatArray = root / np.maximum(shares, LEAST_CURVATURE)
+    return scaled @ root.T
+
+
 def uncertainty(
     aligned: Aligned,
     alone: FloatArray,
     whole: FloatArray,
     *,
+    assumed: FloatArray,
     lines: Lines,
     weak: FloatArray,
     bias_m: float,
@@ -106,8 +129,8 @@ def uncertainty(
 ) -> Uncertainty:
     """Return the uncertainty of an aligned pose.
 
-    I is the information of all residuals. Errors of residuals with the gradient covariance J cause the pose
-    covariance I^-1 J I^-1. The bias of the ranges causes an error too, because its prior pulls it to zero;
+    A has the second derivatives of the loss. Errors of residuals with the gradient covariance J cause the pose
+    covariance A^-1 J A^-1. The bias of the ranges causes an error too, because its prior pulls it to zero;
     its J is the information of the prior. Errors of edges are the same along a line (``edge_lines``). Edges
     beside saturated pixels are shifted towards their darker sides by a length that they share, and all edges
     by a smaller one. Both last as errors of the sensor do. The model's errors are those that the target's
@@ -115,8 +138,10 @@ def uncertainty(
 
     Args:
         aligned: the aligned pose.
-        alone: I^-1, shape (7, 7).
-        whole: I^-1 with the errors of the target's model, shape (7, 7).
+        alone: A^-1, shape (7, 7).
+        whole: A^-1 with the errors of the target's model, shape (7, 7).
+        assumed: inverse of the information matrix by the weights, shape (7, 7), of which the covariance
+            with all assumed errors consists.
         lines: normal equations of the lines of edges.
         weak: information that stands for any pose of a target in view, which is in ``alone``, shape (7, 7).
             Where a frame determines nothing, its error is that of this assumption, and none of the residuals.
@@ -144,7 +169,7 @@ def uncertainty(
         return found
 
     return Uncertainty(
-        turned(whole, beside),
+        turned(assumed + whole - alone, beside),
         ErrorParts(
             white=turned(alone @ white @ alone),
             of_sensor=turned(alone @ of_sensor @ alone + shifts),
