@@ -282,7 +282,7 @@ def geman_mcclure(square: float, scale2: float) -> float:
 
 @inner_kernel
 def geman_mcclure_bend(square: float, scale2: float) -> float:
-    """Return by how much the second derivative of that loss is less than its weight, 4 c^4 r^2 / (c^2 + r^2)^3.
+    """Return the weight less the second derivative of that loss, 4 c^4 r^2 / (c^2 + r^2)^3.
 
     The weight is the curvature that iteratively reweighted least squares assumes. The true one tells how far
     the minimum moves by errors (P. Huber, Robust Statistics, Wiley 1981, section 6.3).

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inlined_kernel, inner_kernel, kernel
+from rpod_pose.pmd.joint.brightness.amplitude_noise import noise_of_place
 from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
@@ -27,15 +28,13 @@ from rpod_pose.registration.normal_equations import (
     gradient_of,
 )
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
 
 SCALE, LAST_SCALE = 0.2, 0.13
 """Geman-McClure scale of an edge's residual over the reach of its search, and that in the last steps. Hand:
 a smaller value ignores displaced edges, a larger one follows wrong edges. The scale in the last steps is 0.4
 px, three times the spread of clear edges at the true pose."""
-BLUNTNESS_PX = 1.4
-"""Standard deviation of an edge's position caused by noise, px, over the ratio of noise to change of
-amplitude. Hand: about the width over which a change is blurred; expected errors are proportional to it."""
 SHIFT_PX = 0.5
 """Standard deviation of the shift that edges beside saturated pixels, or before something bright, share.
 Physics: a fully clipped change moves by the width of the lens's and the smoothing's blur, about a pixel.
@@ -53,6 +52,8 @@ class EdgeErrors(NamedTuple):
     """Half length of the search in the last steps; edges have less weight while the search is longer."""
     scale: float = SCALE
     """Geman-McClure scale of a residual over the reach of the search."""
+    noise_of_place: float = 0.62
+    """Noise of an edge's position, px, times its change over the noise of the image (``noise_of_place``)."""
     px_per_m: float = 0.0
     """Motion in the image, px, per metre across the line of sight, at the depth of the visible points."""
     independent: float = 1.0
@@ -61,6 +62,16 @@ class EdgeErrors(NamedTuple):
     """Whether samples are used that the rendering merges with other edges."""
     aliased_px: float = ALIASED_PX
     """Displacement of an edge from its geometric place that counts as 0."""
+
+    @classmethod
+    def of(cls, config: JointEdgeConfig) -> "EdgeErrors":
+        """Return the errors that a configuration assumes."""
+        return cls(
+            config.sigma_px,
+            float(config.effective_edges),
+            config.final_search_px,
+            noise_of_place=noise_of_place(config.blur_px),
+        )
 
 
 class EdgeShifts(NamedTuple):
@@ -97,6 +108,8 @@ class EdgeEvidence(NamedTuple):
     """Number of inliers beside saturated pixels."""
     noise_px2: float
     """Sum of the variances of the inliers' positions caused by the image's noise."""
+    white_px2: float
+    """Mean of these variances times the weight, with the weights."""
     shifts: EdgeShifts
     """What shifts that edges share would do."""
     bend: FloatArray
@@ -126,13 +139,15 @@ def add_edge_points(  # noqa: PLR0917
         pose: pose to linearise at.
         reach: half length of the search, px.
         errors: assumed errors of edges.
-        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``,
-            ``bend`` and ``shifts.every`` are 0: a fit needs them in its last step only.
+        counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``,
+            ``noise_px2``, ``white_px2``, ``bend`` and ``shifts.every`` are 0: a fit needs them in its last
+            step only.
     """
     edges, lens, patch, expected_edges = sight
     R, places, directions = pose.R, edges.places_m, edges.directions
     image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
+    white, weights = 0.0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
     of_shifts = _ShiftSums(np.zeros(SUMS), np.zeros(SUMS), np.zeros(2))
     bend = np.zeros(SUMS)
@@ -155,7 +170,7 @@ def add_edge_points(  # noqa: PLR0917
         found += near
         noisy_px = 0.0
         if counted:
-            noisy_px = BLUNTNESS_PX * patch.noise / max(expected_edges.change[m], change)
+            noisy_px = errors.noise_of_place * patch.noise / max(expected_edges.change[m], change)
             share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
             expected += share
             add_in_place(in_place, share, near)
@@ -169,14 +184,16 @@ def add_edge_points(  # noqa: PLR0917
         if counted:
             bent = own * geman_mcclure_bend(e2, c2)
             add_residual(bend, normal, at_m, 0.0, bent)
+        white, weights = white + (weight * noisy_px) ** 2, weights + weight
         if e2 < c2:
             inliers, squares = inliers + 1, squares + e2
             noise_px2 += noisy_px**2
             edge = SideEdge(normal, at_m, place, weight, weight - bent, before)
             shifted += _add_shifts(of_shifts, image, saturated, line, edge, counted)
     shifts = EdgeShifts(of_shifts.beside, of_shifts.shift[0], of_shifts.shift[1], of_shifts.every)
+    white /= max(weights, 1e-9)
     return EdgeEvidence(
-        squares, inliers, checked, found, expected, in_place, shifted, noise_px2, shifts, bend
+        squares, inliers, checked, found, expected, in_place, shifted, noise_px2, white, shifts, bend
     )
 
 

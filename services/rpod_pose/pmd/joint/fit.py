@@ -183,7 +183,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
         independent = problem.edge_errors.independent * edges.inliers
         excess /= min(problem.edge_errors.most_edges, independent)
-        parts[0] += per_variance * edges.noise_px2 / (edges.inliers * independent) * shifted.noisy
+        parts[0] += per_variance * edges.white_px2 / independent * shifted.noisy
         parts[2] += per_variance * excess * shifted.noisy
     total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2

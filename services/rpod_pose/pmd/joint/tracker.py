@@ -119,9 +119,7 @@ class JointTracker:
             self._ranges.uneven_m,
             config.slack_m,
         )
-        self._edge_errors = EdgeErrors(
-            tuning.edges.sigma_px, float(tuning.edges.effective_edges), tuning.edges.final_search_px
-        )
+        self._edge_errors = EdgeErrors.of(tuning.edges)
         self._model_error, self._lines = JointModelError(target, edges.parts), edges.lines
         self._check = PixelCheck(target, tuning, self._ranges, self._renderer)
         self._buffers: dict[tuple[int, int], RenderBuffers] = {}

@@ -129,12 +129,12 @@ def uncertainty(
 ) -> Uncertainty:
     """Return the uncertainty of an aligned pose.
 
-    A has the second derivatives of the loss. Errors of residuals with the gradient covariance J cause the pose
-    covariance A^-1 J A^-1. The bias of the ranges causes an error too, because its prior pulls it to zero;
-    its J is the information of the prior. Errors of edges are the same along a line (``edge_lines``). Edges
-    beside saturated pixels are shifted towards their darker sides by a length that they share, and all edges
-    by a smaller one. Both last as errors of the sensor do. The model's errors are those that the target's
-    file declares. The distance to another likely alignment is an error of the image.
+    A has the second derivatives of the loss. Errors of residuals with the gradient covariance J cause the
+    pose covariance A^-1 J A^-1. The bias of the ranges causes an error too, because its prior pulls it to
+    zero; its J is the information of the prior. Errors of edges are the same along a line (``edge_lines``).
+    Edges beside saturated pixels are shifted towards their darker sides by a length that they share, and all
+    edges by a smaller one. Both last as errors of the sensor do. The model's errors are those that the
+    target's file declares. The distance to another likely alignment is an error of the image.
 
     Args:
         aligned: the aligned pose.

@@ -30,7 +30,7 @@ def test_the_jackknife_finds_errors_that_the_samples_of_a_line_share():
         step = covariance @ (samples * rows.T @ shared)
         moved.append(step)
         left = shared - rows @ step
-        sums = Lines(-samples * left[:, None] * rows, informations)
+        sums = Lines(-samples * left[:, None] * rows, informations, 0.0 * informations)
         found.append(jackknife(sums, covariance, samples=np.zeros((7, 7))))
     expected = np.cov(np.array(moved).T)
     told = (lines - 6) / lines
@@ -41,5 +41,6 @@ def test_the_jackknife_finds_errors_that_the_samples_of_a_line_share():
 def test_as_many_lines_as_unknowns_tell_nothing():
     rng = np.random.default_rng(5)
     rows, samples = rng.normal(size=(6, 7)), np.diag(np.arange(1.0, 8.0))
-    sums = Lines(rng.normal(size=(6, 7)), np.einsum("li,lj->lij", rows, rows))
+    informations = np.einsum("li,lj->lij", rows, rows)
+    sums = Lines(rng.normal(size=(6, 7)), informations, 0.0 * informations)
     np.testing.assert_array_equal(jackknife(sums, np.eye(7), samples=samples), samples)

@@ -108,7 +108,9 @@ def test_some_edges_beside_saturated_pixels_take_no_weight_from_the_others():
         _shares.py_func(
             problem,
             FieldEvidence(0.0, 0.0, 0, 0.0),
-            EdgeEvidence(244 * 0.3**2, 244, 260, 260, 250.0, np.zeros(3), shifted, 0.0, shifts),
+            EdgeEvidence(
+                244 * 0.3**2, 244, 260, 260, 250.0, np.zeros(3), shifted, 0.0, 0.0, shifts, no_sums()
+            ),
             3.0,
         ).edges
         for shifted in (0, 37)

@@ -1,5 +1,7 @@
 """Typical brightness of a target in an amplitude image and beside it, and the image's noise."""
 
+from math import erf
+
 import numpy as np
 
 from rpod_geometry.kernels import kernel
@@ -51,6 +53,23 @@ def noise_of_change(blur_px: float) -> float:
     """
     correlation = np.exp(-(blur_px**-2.0))
     return float(np.sqrt((1.0 - correlation) / (2.0 * np.pi)) / blur_px)
+
+
+def noise_of_place(blur_px: float) -> float:
+    """Return the noise of an edge's place, px, times its change over two pixels over a pixel's noise.
+
+    The place is where the change I(x + 1) - I(x - 1) has its maximum, so that its error is the noise of the
+    slope of this difference over the difference's second derivative (as for J. Canny, A Computational
+    Approach to Edge Detection, IEEE Transactions PAMI 8(6), 1986, section III). The step is blurred by the
+    Gaussian of width s and by a pixel, with the variance s^2 + 1 / 12. The noise has the covariance
+    exp(-d^2 / (4 s^2)) / (4 pi s^2).
+    """
+    variance = blur_px**2 + 1.0 / 12.0
+    change = erf((2.0 * variance) ** -0.5)
+    bend = np.sqrt(2.0 / np.pi) * variance**-1.5 * np.exp(-0.5 / variance)
+    behind = (1.0 - 2.0 * blur_px**-2.0) * np.exp(-(blur_px**-2.0))
+    slope = np.sqrt((1.0 - behind) / (4.0 * np.pi)) / blur_px**2
+    return float(slope * change / bend)
 
 
 def correlation_px(blur_px: float) -> float:
