@@ -155,7 +155,7 @@ def add_edge_points(  # noqa: PLR0917
         if expected_edges.merged[m] and not errors.merged:
             continue
         n = expected_edges.sample[m]
-        seen = _seen_edge(places, directions, n, pose, lens)
+        seen = seen_edge(places, directions, n, pose, lens)
         at, across, down = seen.at, seen.across, seen.down
         if across == 0.0 and down == 0.0:
             continue
@@ -240,7 +240,7 @@ class _SeenEdge(NamedTuple):
 
 
 @inlined_kernel
-def _seen_edge(places: FloatArray, directions: FloatArray, n: int, pose: PoseArrays, lens: Lens) -> _SeenEdge:
+def seen_edge(places: FloatArray, directions: FloatArray, n: int, pose: PoseArrays, lens: Lens) -> _SeenEdge:
     """Return a sample of an edge, projected.
 
     Args:

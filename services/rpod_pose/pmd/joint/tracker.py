@@ -39,7 +39,7 @@ from rpod_pose.pmd.joint.check.bright_beyond import marked, or_by_depth
 from rpod_pose.pmd.joint.check.noisy_ranges import MedianError
 from rpod_pose.pmd.joint.check.pixel_check import PixelCheck
 from rpod_pose.pmd.joint.depth_points import Planes
-from rpod_pose.pmd.joint.edge_lines import line_sums
+from rpod_pose.pmd.joint.edge_lines import grouped
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
@@ -355,15 +355,15 @@ class JointTracker:
         sight = last.sight if moved < CERTAIN_PX else sights.at(fit.state.pose)
         problem = last._replace(sight=sight, schedule=self._near[-1:])
         shares = joint_shares(problem, fit.state)
-        lines = line_sums(problem, fit.state, shares, self._lines)
+        groups = grouped(problem, fit.state, shares, self._lines)
         information = fit.information + self._weak
-        alone = inverse_curvature(information, lines.bends.sum(axis=0))
+        alone = inverse_curvature(information, groups.both.bends.sum(axis=0))
         return uncertainty(
             aligned,
             alone,
             self._model_error.added(fit, problem, shares, alone),
             assumed=np.linalg.inv(information),
-            lines=lines,
+            groups=groups,
             weak=self._weak,
             bias_m=self._depth_errors.bias_m,
             radius_px=seen.radius_px(self._target.radius_m),

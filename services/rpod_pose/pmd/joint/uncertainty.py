@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from rpod_pose.pmd.joint.alternatives import Aligned
-from rpod_pose.pmd.joint.edge_lines import Lines, jackknife
+from rpod_pose.pmd.joint.edge_lines import Groups, shared_errors
 from rpod_pose.pmd.joint.fit import JointFit, JointProblem, Shares, cell_information
 from rpod_pose.pose_evidence import ErrorParts
 from rpod_pose.registration.field_alignment import Points
@@ -121,7 +121,7 @@ def uncertainty(
     whole: FloatArray,
     *,
     assumed: FloatArray,
-    lines: Lines,
+    groups: Groups,
     weak: FloatArray,
     bias_m: float,
     radius_px: float,
@@ -131,10 +131,11 @@ def uncertainty(
 
     A has the second derivatives of the loss. Errors of residuals with the gradient covariance J cause the
     pose covariance A^-1 J A^-1. The bias of the ranges causes an error too, because its prior pulls it to
-    zero; its J is the information of the prior. Errors of edges are the same along a line (``edge_lines``).
-    Edges beside saturated pixels are shifted towards their darker sides by a length that they share, and all
-    edges by a smaller one. Both last as errors of the sensor do. The model's errors are those that the
-    target's file declares. The distance to another likely alignment is an error of the image.
+    zero; its J is the information of the prior. Edges share errors along a line and within a tile of the
+    image (``edge_lines``). Edges beside saturated pixels are shifted towards their darker sides by a length
+    that they share, and all edges by a smaller one. Both last as errors of the sensor do. The model's errors
+    are those that the target's file declares. The distance to another likely alignment is an error of the
+    image.
 
     Args:
         aligned: the aligned pose.
@@ -142,7 +143,7 @@ def uncertainty(
         whole: A^-1 with the errors of the target's model, shape (7, 7).
         assumed: inverse of the information matrix by the weights, shape (7, 7), of which the covariance
             with all assumed errors consists.
-        lines: normal equations of the lines of edges.
+        groups: normal equations of groups of edges.
         weak: information that stands for any pose of a target in view, which is in ``alone``, shape (7, 7).
             Where a frame determines nothing, its error is that of this assumption, and none of the residuals.
         bias_m: standard deviation of the prior of the bias.
@@ -159,9 +160,9 @@ def uncertainty(
     of_some = alone[:, :6] @ fit.evidence.beside
     of_all = COMMON_PX * (alone[:, :6] @ fit.evidence.every)
     shifts = np.outer(of_some, of_some) + np.outer(of_all, of_all)
-    of_lines = jackknife(lines, alone, samples=alone @ of_image @ alone)
+    of_groups = shared_errors(groups, alone, samples=alone @ of_image @ alone)
     follows = 1.0 - float(alone[-1, -1]) * bias_m**-2
-    others = alone @ (white + uneven) @ alone + of_lines + shifts + whole - alone
+    others = alone @ (white + uneven) @ alone + of_groups + shifts + whole - alone
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
 
     def turned(covariance: FloatArray, besides: FloatArray | float = 0.0) -> FloatArray:
@@ -173,7 +174,7 @@ def uncertainty(
         ErrorParts(
             white=turned(alone @ white @ alone),
             of_sensor=turned(alone @ of_sensor @ alone + shifts),
-            of_image=turned(of_lines, beside),
+            of_image=turned(of_groups, beside),
             image_turn_rad=MIXED_PX / radius_px,
             of_model=turned(whole - alone),
         ),
