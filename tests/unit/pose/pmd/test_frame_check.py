@@ -7,7 +7,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import PixelMarks
-from rpod_pose.pmd.joint.brightness.amplitude_noise import noise_of, noise_of_change, typical_of
+from rpod_pose.pmd.joint.brightness.amplitude_noise import (
+    noise_of,
+    noise_of_change,
+    noise_of_place,
+    typical_of,
+)
 from rpod_pose.pmd.joint.check.frame_check import Contradictions, SeenPixels, contradictions
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_schemas.config.motion import FACING
@@ -172,6 +177,19 @@ def test_a_blur_leaves_of_noise_what_is_expected(blur_px):
     smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
     change = smooth[:, 2:] - smooth[:, :-2]
     assert noise_of_change(blur_px) == pytest.approx(float(change.std()), rel=0.05)
+
+
+def test_the_noise_of_an_edge_s_place_follows_from_the_blur():
+    """1200 rows of a step of 20 standard deviations: spread of the steepest place, by a parabola."""
+    rng, blur_px, noise = np.random.default_rng(5), 0.8, 0.05
+    step = np.concatenate((np.zeros(10), [0.5], np.ones(10)))
+    image = step + noise * rng.normal(size=(12_000, 21))
+    blurred = cv2.GaussianBlur(image, (0, 0), blur_px)[::10]
+    change = blurred[:, 2:] - blurred[:, :-2]
+    behind, most, ahead = change[:, 8], change[:, 9], change[:, 10]
+    places = 0.5 * (behind - ahead) / (behind - 2.0 * most + ahead)
+    expected_px = noise_of_place(blur_px) * noise / float(most.mean())
+    assert float(places.std()) == pytest.approx(expected_px, rel=0.15)
 
 
 @pytest.mark.parametrize("start", [120.0, 300.0, 700.0])
