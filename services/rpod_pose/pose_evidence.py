@@ -29,7 +29,8 @@ class ErrorParts:
     """Rotation of the target relative to the line of sight after which the correlation of ``of_image`` is
     1/e."""
     of_model: FloatArray
-    """Errors of the target's model; they are constant in the target's axes while the same parts are seen."""
+    """Errors of the target's model, and of its brightness as rendered; they are constant in the target's axes
+    while the same parts are seen."""
 
     @classmethod
     def lasting_model(cls, white: FloatArray, of_model: FloatArray) -> Self:

@@ -362,7 +362,7 @@ class JointTracker:
             aligned,
             alone,
             self._model_error.added(fit, problem, shares, alone),
-            assumed=np.linalg.inv(information),
+            assumed=np.linalg.inv(information).astype(np.float64),
             groups=groups,
             weak=self._weak,
             bias_m=self._depth_errors.bias_m,
