@@ -22,14 +22,14 @@ MIXED_PX = 0.16
 Campaign: of the errors of frames a quarter of a pixel apart, 0.2 of this part is left (as ``LASTING``)."""
 LASTING = 0.5
 """Share of the variance of the edges' errors that lasts while the same parts of the target are seen: errors
-of its brightness as rendered. Campaign: correlation of the errors of frames 1 to 5 px of turn apart, 0.51, and
-0.41 to 0.62 of one body up to 80 px apart; 25 sequences of the mock-up and four bodies of the derived half
-(seeds 85 to 90)."""
+of its brightness as rendered. Campaign: correlation of the errors of frames 1 to 5 px of turn apart, 0.51,
+and 0.41 to 0.62 of one body up to 80 px apart; 25 sequences of the mock-up and four bodies of the derived
+half (seeds 85 to 90)."""
 COMMON_PX = 0.014
 """Standard deviation of a shift towards the darker side that all edges of a frame share, px: of blur, stray
 light and brightness that the rendering does not have. Campaign: RMS of the excess over the stated errors at
-the true pose, of the mock-up and seven bodies of the derived half (seeds 85 to 90) in four worlds, 128 frames;
-0.013 px in three worlds that only report, and 0.012 px for twelve bodies of an independent emulator."""
+the true pose, of the mock-up and seven bodies of the derived half (seeds 85 to 90) in four worlds, 128
+frames; 0.013 px in three worlds that only report, and 0.012 px for twelve bodies of an independent emulator."""
 LEAST_CURVATURE = 0.1
 """Least second derivative of the loss along a motion, over its weight. Numerics: below it, the quadratic
 expansion at the pose does not tell how far errors move the minimum."""
