@@ -29,7 +29,7 @@ COMMON_PX = 0.014
 """Standard deviation of a shift towards the darker side that all edges of a frame share, px: of blur, stray
 light and brightness that the rendering does not have. Campaign: RMS of the excess over the stated errors at
 the true pose, of the mock-up and seven bodies of the derived half (seeds 85 to 90) in four worlds, 128
-frames; 0.013 px in three worlds that only report, and 0.012 px for twelve bodies of an independent emulator."""
+frames; 0.013 px in three worlds that only report, 0.012 px for twelve bodies of an independent emulator."""
 LEAST_CURVATURE = 0.1
 """Least second derivative of the loss along a motion, over its weight. Numerics: below it, the quadratic
 expansion at the pose does not tell how far errors move the minimum."""
