@@ -250,7 +250,7 @@ def _crossed(
         side = np.int32(2) if b <= c else np.int32(4)
         side = np.int32(1) if (a <= b) & (a <= c) else side
         crossed |= side if met[p, n] < 0 else np.int32(0)
-    return crossed
+    return int(crossed)
 
 
 @inlined_kernel

@@ -65,7 +65,7 @@ def line_sums(problem: JointProblem, state: State, shares: Shares, line: NDArray
             expected.before[mine],
         )
         sums = no_sums()
-        part = EdgeSight(sight.edges, sight.lens, sight.patch, some)
+        part = EdgeSight(sight.edges, sight.lens, sight.patch, some, sight.every)
         add_edge_points(sums, part, state.pose, reach, problem.edge_errors, False)
         gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
         informations[k] = information_of(shares.edges * sums, UNKNOWNS)

@@ -120,7 +120,7 @@ def add_edge_points(  # noqa: PLR0917
         counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``, ``noise_px2``
             and ``shifts.every`` are 0: a fit needs them in its last step only.
     """
-    edges, lens, patch, expected_edges = sight
+    edges, lens, patch, expected_edges, _ = sight
     R, places, directions = pose.R, edges.places_m, edges.directions
     image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0

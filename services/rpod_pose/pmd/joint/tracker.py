@@ -285,8 +285,8 @@ class JointTracker:
         the faces that the pixels show. The last ones are done again with a brightness that follows the image.
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
-        state = align(self._problem(seen, sights.at(state.pose), first, errors), state).state
-        problem = self._problem(seen, sights.at(state.pose), last, errors)
+        state = align(self._problem(seen, sights.some_at(state.pose), first, errors), state).state
+        problem = self._problem(seen, sights.some_at(state.pose), last, errors)
         problem = near_the_pose(problem, self._planes(seen, state.pose))
         state = align(problem, state).state
         problem = problem._replace(sight=sights.finally_at(state.pose))
@@ -305,8 +305,8 @@ class JointTracker:
     ) -> JointProblem:
         errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
-        px_per_m = seen.lens.fx / seen.away_m
-        independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
+        px_per_m, correlated_px = seen.lens.fx / seen.away_m, correlation_px(self._tuning.edges.blur_px)
+        independent = min(1.0, sight.every * self._spacing_m * px_per_m / correlated_px)
         edges = edges._replace(px_per_m=px_per_m, independent=independent)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
 
