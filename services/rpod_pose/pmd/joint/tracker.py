@@ -282,7 +282,8 @@ class JointTracker:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
         The first steps minimise distances in the distance field, the last ones distances from the planes of
-        the faces that the pixels show. The last ones are done again with a brightness that follows the image.
+        the faces that the pixels show. The last ones are done again with a brightness that follows the image,
+        and with all samples of the edges.
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
         state = align(self._problem(seen, sights.some_at(state.pose), first, errors), state).state
