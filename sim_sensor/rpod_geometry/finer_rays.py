@@ -63,33 +63,35 @@ def finer_hits(
     order = np.arange(number)
     down = ((order + 0.5) / number - 0.5).astype(np.float32)
     across = ((order % SAMPLES * SAMPLES + order // SAMPLES + 0.5) / number - 0.5).astype(np.float32)
-    places, tried = (down, across), np.empty(MOST_TRIED, np.int32)
     met = np.full((len(pixels), number), -1, np.int32)
     inverse = np.zeros((len(pixels), number), np.float32)
     sides, facing = _sides_of(surface)
-    middle, linear = np.empty(9), np.empty(9, np.float32)
+    beyond, listed = surface.beyond, np.full(len(facing), -1, np.int32)
+    tried, middle, linear = np.empty(MOST_TRIED, np.int32), np.empty(9), np.empty(9, np.float32)
     for p in range(len(pixels)):
         around = _around(triangle.shape, per_px * pixels[p, 0], per_px * pixels[p, 1], per_px)
         _fill_middle(rays, around, per_px, middle)
-        coarse = _met(triangle, around, tried)
+        coarse = _met(triangle, around, p, listed, tried)
         for m in range(coarse):
             _fill_linear(sides, tried[m], middle, linear)
-            _test(linear, tried[m], places, (met, inverse), p)
+            _test(linear, tried[m], down, across, met, inverse, p)
         count, m = coarse, 0 if _missed(met, p) else coarse
         while m < count:
             k = tried[m]
-            further = _further(surface.beyond, facing, k, tried, count)
-            if m >= coarse or further:
-                _fill_linear(sides, k, middle, linear)
+            _fill_linear(sides, k, middle, linear)
             if m >= coarse:
-                _test(linear, k, places, (met, inverse), p)
-            crossed = further & _crossed(linear, places, met, p) if further else 0
+                _test(linear, k, down, across, met, inverse, p)
+            crossed = _crossed(linear, down, across, met, p)
             for side in range(3):
-                if crossed & (1 << side):
-                    count = _listed(tried, count, surface.beyond[k, side])
+                other = beyond[k, side]
+                further = crossed & (1 << side) and other >= 0 and facing[other]
+                if further and listed[other] != p and count < MOST_TRIED:
+                    tried[count], listed[other] = other, p
+                    count += 1
             m += 1
         if _missed(met, p):
-            _fill_covered(triangle, around, per_px, (sides, middle, linear), places, (met, inverse), p)
+            lines, places = (sides, middle, linear), (down, across)
+            _fill_covered(triangle, around, per_px, lines, places, (met, inverse), p)
     return FinerHits(met, inverse)
 
 
@@ -128,63 +130,26 @@ def _fill_middle(rays: Array, around: _Around, per_px: int, middle: FloatArray) 
 
 
 @inlined_kernel
-def _met(triangle: NDArray[np.int32], around: _Around, tried: NDArray[np.int32]) -> int:
+def _met(
+    triangle: NDArray[np.int32], around: _Around, p: int, listed: NDArray[np.int32], tried: NDArray[np.int32]
+) -> int:
     """Return the number of the triangles that some coarser rays meet, and list them.
 
     Args:
         triangle: as in ``finer_hits``, shape (per_px * rows, per_px * columns).
         around: the rays.
+        p: number of the pixel.
+        listed: number of the last pixel for which a triangle was listed, input and output, shape (T,).
         tried: output, shape (MOST_TRIED,).
     """
     count = 0
     for v in range(around.top, around.bottom + 1):
         for u in range(around.left, around.right + 1):
-            if triangle[v, u] >= 0:
-                count = _listed(tried, count, triangle[v, u])
+            k = triangle[v, u]
+            if k >= 0 and listed[k] != p and count < MOST_TRIED:
+                tried[count], listed[k] = k, p
+                count += 1
     return count
-
-
-@inlined_kernel
-def _place(tried: NDArray[np.int32], count: int, k: int) -> int:
-    """Return the place of a triangle in a list, shape (MOST_TRIED,); the list's length if it is not in it."""
-    n = 0
-    while n < count and tried[n] != k:
-        n += 1
-    return n
-
-
-@inlined_kernel
-def _listed(tried: NDArray[np.int32], count: int, k: int) -> int:
-    """Add a triangle to a list of some, shape (MOST_TRIED,), unless it is in it or the list is full.
-
-    Return their number.
-    """
-    n = _place(tried, count, k)
-    if n == count and n < MOST_TRIED:
-        tried[n] = k
-        return count + 1
-    return count
-
-
-@inlined_kernel
-def _further(
-    beyond: NDArray[np.int32], facing: NDArray[np.bool_], k: int, tried: NDArray[np.int32], count: int
-) -> int:
-    """Return a bit for each side of a triangle beyond which a triangle faces the sensor and is not listed.
-
-    Args:
-        beyond: as in ``Surface``, shape (T, 3).
-        facing: whether a triangle faces the sensor, shape (T,).
-        k: the triangle.
-        tried: listed triangles, shape (MOST_TRIED,).
-        count: number of them.
-    """
-    further = 0
-    for side in range(3):
-        other = beyond[k, side]
-        if other >= 0 and facing[other] and _place(tried, count, other) == count:
-            further |= 1 << side
-    return further
 
 
 @inlined_kernel
@@ -197,11 +162,13 @@ def _missed(met: NDArray[np.int32], p: int) -> bool:
 
 
 @inlined_kernel
-def _test(
+def _test(  # noqa: PLR0917
     linear: Float32Array,
     k: int,
-    places: tuple[Float32Array, Float32Array],
-    hits: tuple[NDArray[np.int32], Float32Array],
+    down: Float32Array,
+    across: Float32Array,
+    met: NDArray[np.int32],
+    inverse: Float32Array,
     p: int,
 ) -> None:
     """Assign to a triangle the rays of a pixel for which it is the nearest so far, without branches.
@@ -209,11 +176,12 @@ def _test(
     Args:
         linear: as filled by ``_fill_linear``.
         k: the triangle.
-        places: rows and columns of the rays, relative to the pixel's middle, px, shape (SAMPLES^2,).
-        hits: as in ``FinerHits``, input and output.
+        down: rows of the rays, relative to the pixel's middle, px, shape (SAMPLES^2,).
+        across: their columns, same shape.
+        met: ``FinerHits.triangle``, shape (P, SAMPLES^2), input and output.
+        inverse: ``FinerHits.inverse``, same shape, input and output.
         p: number of the pixel.
     """
-    (down, across), (met, inverse) = places, hits
     a0, b0, c0, av, bv, cv = linear[0], linear[1], linear[2], linear[3], linear[4], linear[5]
     au, bu, cu = linear[6], linear[7], linear[8]
     for n in range(np.uint64(SAMPLES * SAMPLES)):
@@ -242,7 +210,7 @@ def _fill_covered(  # noqa: PLR0917
         around: the coarser rays.
         per_px: number of coarser rays for each pixel, along rows and columns.
         lines: ``sides``, ``middle`` and ``linear`` as for ``_fill_linear``.
-        places: as for ``_test``.
+        places: ``down`` and ``across`` as for ``_test``.
         hits: as in ``FinerHits``, input and output.
         p: number of the pixel.
     """
@@ -270,18 +238,19 @@ def _fill_covered(  # noqa: PLR0917
 
 @inlined_kernel
 def _crossed(
-    linear: Float32Array, places: tuple[Float32Array, Float32Array], met: NDArray[np.int32], p: int
+    linear: Float32Array, down: Float32Array, across: Float32Array, met: NDArray[np.int32], p: int
 ) -> int:
     """Return a bit for each side across which rays without a hit lie; arguments as for ``_test``."""
-    (down, across), crossed = places, 0
-    for n in range(SAMPLES * SAMPLES):
-        if met[p, n] < 0:
-            v, u = down[n], across[n]
-            a = linear[0] + v * linear[3] + u * linear[6]
-            b = linear[1] + v * linear[4] + u * linear[7]
-            c = linear[2] + v * linear[5] + u * linear[8]
-            crossed |= 1 if a <= min(b, c) else (2 if b <= c else 4)
-    return crossed
+    crossed = np.int32(0)
+    a0, b0, c0, av, bv, cv = linear[0], linear[1], linear[2], linear[3], linear[4], linear[5]
+    au, bu, cu = linear[6], linear[7], linear[8]
+    for n in range(np.uint64(SAMPLES * SAMPLES)):
+        v, u = down[n], across[n]
+        a, b, c = a0 + v * av + u * au, b0 + v * bv + u * bu, c0 + v * cv + u * cu
+        side = np.int32(2) if b <= c else np.int32(4)
+        side = np.int32(1) if (a <= b) & (a <= c) else side
+        crossed |= side if met[p, n] < 0 else np.int32(0)
+    return int(crossed)
 
 
 @inlined_kernel

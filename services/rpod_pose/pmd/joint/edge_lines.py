@@ -120,7 +120,7 @@ def group_sums(problem: JointProblem, state: State, shares: Shares, group: NDArr
             expected.before[mine],
         )
         sums = no_sums()
-        part = EdgeSight(sight.edges, sight.lens, sight.patch, some)
+        part = EdgeSight(sight.edges, sight.lens, sight.patch, some, sight.every)
         found = add_edge_points(sums, part, state.pose, reach, problem.edge_errors)
         gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
         informations[k] = information_of(shares.edges * sums, UNKNOWNS)

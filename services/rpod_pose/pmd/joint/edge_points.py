@@ -143,7 +143,7 @@ def add_edge_points(  # noqa: PLR0917
             ``noise_px2``, ``white_px2``, ``bend`` and ``shifts.every`` are 0: a fit needs them in its last
             step only.
     """
-    edges, lens, patch, expected_edges = sight
+    edges, lens, patch, expected_edges, _ = sight
     R, places, directions = pose.R, edges.places_m, edges.directions
     image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0

@@ -58,6 +58,10 @@ class EdgeArrays(NamedTuple):
     spreads: FloatArray
     """Standard deviations of the logarithms of the faces' albedos, shape (N, 2)."""
 
+    def thinned(self, every: int) -> "EdgeArrays":
+        """Return every n-th sample."""
+        return self if every == 1 else EdgeArrays(*(array[::every].copy() for array in self))
+
 
 class CoarsePixels(NamedTuple):
     """Positions in the image of the coarse pixels: every ``stride``-th one along rows and columns."""

@@ -60,6 +60,9 @@ are closer are one change."""
 BEYOND_PX = 3.0
 """Distance from an edge at which the image shows what is beyond it, px. Physics: twice the standard deviation
 of the smoothing, 1.6 px, and a pixel that mixes both."""
+MOST_AT_FIRST = 1000
+"""Approximate largest number of samples before the last steps of an alignment. Numerics: a budget of
+computation, several times the number that may count as independent (``effective_edges``)."""
 LEAST_RATIO = 0.3
 """Least change of a rendering over the least change that counts. Hand: a smaller one gives no place of the
 edge."""
@@ -104,6 +107,8 @@ class EdgeSight(NamedTuple):
     patch: Patch
     expected: ExpectedEdges
     """The samples that the image may show, by a rendering near the pose."""
+    every: int = 1
+    """Distance of two samples along an edge, over that of the model's samples."""
 
 
 @kernel
@@ -252,13 +257,28 @@ class Sights:
         self._edges, self._renderer, self._frame = edges, renderer, frame
         self._rendered: list[Rendered] = []
         self._seen: dict[int, EdgeSight] = {}
+        self._some: dict[int, EdgeSight] = {}
+        self._every, self._some_edges = 1, edges
 
     def at(self, pose: PoseArrays) -> EdgeSight:
         """Return the edges at a pose, from an earlier rendering if its pose is near enough."""
         number = self._rendered_near(pose, STILL_PX)
         if number not in self._seen:
-            self._seen[number] = self._edges_of(self._rendered[number].shown)
+            self._seen[number] = self._edges_of(self._rendered[number].shown, self._edges)
+            if len(self._seen) == 1:
+                self._every = max(1, -(-len(self._seen[number].expected.sample) // MOST_AT_FIRST))
+                self._some_edges = self._edges.thinned(self._every)
         return self._seen[number]
+
+    def some_at(self, pose: PoseArrays) -> EdgeSight:
+        """Return the edges at a pose by some of their samples, about ``MOST_AT_FIRST``."""
+        if self._every == 1:
+            return self.at(pose)
+        number = self._rendered_near(pose, STILL_PX)
+        if number not in self._some:
+            sight = self._edges_of(self._rendered[number].shown, self._some_edges)
+            self._some[number] = sight._replace(every=self._every)
+        return self._some[number]
 
     def shown_at(self, pose: PoseArrays) -> Shown:
         """Return a rendering at a pose, or an earlier one whose pose is near enough."""
@@ -270,7 +290,7 @@ class Sights:
         From a pose that is not aligned, displaced edges would be taken for changes of brightness.
         """
         rendered = self._rendered[self._rendered_near(pose, ALIGNED_PX)]
-        return self._edges_of(self._renderer.followed(rendered, self._frame.patch))
+        return self._edges_of(self._renderer.followed(rendered, self._frame.patch), self._edges)
 
     def _rendered_near(self, pose: PoseArrays, most_px: float) -> int:
         """Return the number of a rendering that is at most a motion in the image away from a pose."""
@@ -281,10 +301,10 @@ class Sights:
         self._rendered.append(self._renderer.render(frame.rays, frame.per_px, pose, frame.patch))
         return len(moved)
 
-    def _edges_of(self, shown: Shown) -> EdgeSight:
-        """Return the edges that a rendering shows."""
+    def _edges_of(self, shown: Shown, edges: EdgeArrays) -> EdgeSight:
+        """Return those of some edges that a rendering shows."""
         lens, patch = self._frame.lens, self._frame.patch
-        return EdgeSight(self._edges, lens, patch, expect_edges(self._edges, lens, patch, shown))
+        return EdgeSight(edges, lens, patch, expect_edges(edges, lens, patch, shown))
 
     def blank(self, pose: PoseArrays) -> EdgeSight:
         """Return a sight without edges at a pose, for uses that need only the depth; nothing is rendered."""

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_geometry.rays import GridArrays, RenderBuffers
+from rpod_geometry.shared_corners import Mesh, cast_mesh
 from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
 from rpod_pose.pmd.joint.edge_points import (
     LAST_SCALE,
@@ -215,19 +216,19 @@ class Measured(NamedTuple):
 
 @kernel
 def agreement(
-    measured: Measured, grid: GridArrays, triangles: FloatArray, pose: PoseArrays, buffers: RenderBuffers
+    measured: Measured, grid: GridArrays, mesh: Mesh, pose: PoseArrays, buffers: RenderBuffers
 ) -> tuple[float, float]:
     """Return the total weight of the coarse pixels that agree with a pose, and that of all checked pixels.
 
     Args:
         measured: the frame.
         grid: rays of the coarse pixels.
-        triangles: triangles of the target, shape (T, 3, 3), m.
-        pose: pose of the target.
+        mesh: the target.
+        pose: its pose.
         buffers: output, the target rendered at the pose.
     """
     range_m, owner = buffers
-    cast_pose(grid, triangles, pose.R, pose.t, True, range_m, owner)
+    cast_mesh(grid, mesh, pose.R, pose.t, buffers)
     agreeing, checked = 0.0, 0.0
     for i in range(range_m.shape[0]):
         for j in range(range_m.shape[1]):

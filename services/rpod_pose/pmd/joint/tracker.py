@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers
+from rpod_geometry.shared_corners import cast_mesh
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.alternatives import (
@@ -54,7 +55,7 @@ from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.registration.surface_model import SurfaceModel, cast_faces
+from rpod_pose.registration.surface_model import SurfaceModel
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import pose_of
@@ -279,11 +280,12 @@ class JointTracker:
         """Return the pose after one step for each row of a schedule, and the problem of the last steps.
 
         The first steps minimise distances in the distance field, the last ones distances from the planes of
-        the faces that the pixels show. The last ones are done again with a brightness that follows the image.
+        the faces that the pixels show. The last ones are done again with a brightness that follows the image,
+        and with all samples of the edges.
         """
         first, last = schedule[:-LAST_STEPS], schedule[-LAST_STEPS:]
-        state = align(self._problem(seen, sights.at(state.pose), first, errors), state).state
-        problem = self._problem(seen, sights.at(state.pose), last, errors)
+        state = align(self._problem(seen, sights.some_at(state.pose), first, errors), state).state
+        problem = self._problem(seen, sights.some_at(state.pose), last, errors)
         problem = near_the_pose(problem, self._planes(seen, state.pose))
         state = align(problem, state).state
         problem = problem._replace(sight=sights.finally_at(state.pose))
@@ -302,15 +304,15 @@ class JointTracker:
     ) -> JointProblem:
         errors = self._depth_errors._replace(white_m2=seen.white_m2, spread_m2=seen.spread_m2)
         points, planes = Points(seen.points_m, seen.trust), Planes.none(len(seen.points_m))
-        px_per_m = seen.lens.fx / seen.away_m
-        independent = min(1.0, self._spacing_m * px_per_m / correlation_px(self._tuning.edges.blur_px))
+        px_per_m, correlated_px = seen.lens.fx / seen.away_m, correlation_px(self._tuning.edges.blur_px)
+        independent = min(1.0, sight.every * self._spacing_m * px_per_m / correlated_px)
         edges = edges._replace(px_per_m=px_per_m, independent=independent)
         return JointProblem(points, planes, self._field, sight, errors, edges, schedule)
 
     def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:
         """Return the planes of the faces that the points' pixels show at a pose."""
         buffers = self._buffers_of(seen.view)
-        cast_faces(seen.view.coarse.arrays, self._faces, pose.R, pose.t, buffers)
+        cast_mesh(seen.view.coarse.arrays, self._renderer.mesh, pose.R, pose.t, buffers)
         return Planes.of(self._faces, buffers.triangle.ravel()[seen.pixel])
 
     def _registered(self, seen: JointFrame, sights: Sights, aligned: Aligned, steps: int) -> Registration:

@@ -12,6 +12,7 @@ from tests.pmd_frames import frame_of, strange_frames
 from rpod_campaign.pmd.world import World, built
 from rpod_geometry.rays import RayGrid, cast
 from rpod_pose.belief import AMPLITUDE_LEFT_OUT
+from rpod_pose.pmd.joint import expected_edges
 from rpod_pose.pmd.joint.brightness.amplitude_noise import correlation_px
 from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.depth_points import CoarseRanges, DepthImages, coarse_ranges
@@ -176,6 +177,29 @@ def test_changes_half_a_pixel_from_an_edge_are_left_out_in_the_last_steps() -> N
     )
     assert last.found == first.found > 100
     assert last.inliers < 0.8 * first.inliers
+
+
+def test_first_steps_by_some_samples_of_edges_lead_to_the_same_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = Rotation.from_rotvec((0.0, 0.01, 0.01))
+    start = RigidTransform.from_components(TRUTH.translation, TRUTH.rotation * turn)
+    whole = TRACKER.track(FRAME, start)
+    monkeypatch.setattr(expected_edges, "MOST_AT_FIRST", 100)
+    seen = JointFrame.of(FRAME, TRUTH.translation, radius_m=MOCKUP.radius_m, tuning=JointConfig().tuning)
+    assert isinstance(seen, JointFrame)
+    sights, pose = TRACKER._sights(seen), PoseArrays.of(TRUTH)
+    every, some = sights.at(pose), sights.some_at(pose)
+    assert len(every.expected.sample) / some.every < len(some.expected.sample) <= 150
+    far = replace(seen, away_m=60.0)
+    one, other = (
+        TRACKER._problem(far, sight, TRACKER._near, TRACKER._edge_errors) for sight in (every, some)
+    )
+    assert other.edge_errors.independent == pytest.approx(some.every * one.edge_errors.independent)
+    found = TRACKER.track(FRAME, start)
+    assert found.T_sensor_target is not None
+    assert whole.T_sensor_target is not None
+    poses = (PoseArrays.of(each.T_sensor_target) for each in (whole, found))
+    assert 0.0 < seen.moved_px(*poses, MOCKUP.radius_m) < 0.1
+    np.testing.assert_allclose(np.diag(found.covariance), np.diag(whole.covariance), rtol=0.05)
 
 
 def test_a_small_displacement_of_an_edge_counts_in_the_last_steps_alone() -> None:

@@ -64,12 +64,17 @@ def mixture_of(rays: Array, hits: RenderBuffers, per_px: int, shape: Shape) -> M
         per_px: number of rays for each pixel, along rows and columns.
         shape: the target.
     """
-    window, (light, part) = window_of(hits.triangle, per_px), (shape.light, shape.part)
-    one, several, most = _one_of(hits.triangle, per_px, window, part)
-    finer = finer_hits(rays, hits.triangle, per_px, several, shape.surface)
+    window, (light, part), (range_m, triangle) = (
+        window_of(hits.triangle, per_px),
+        (shape.light, shape.part),
+        hits,
+    )
+    one, several, most = _one_of(triangle, per_px, window, part)
+    mixed = _mixed(finer_hits(rays, triangle, per_px, several, shape.surface), shape)
+    end, part_of, light_of, sky = mixed.end, mixed.part, mixed.light, mixed.sky
     alone, free = np.full(one.shape, -1, np.int32), np.zeros(one.shape, np.float32)
     pixels, numbers, lights = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32)
-    count, mixed = 0, 0
+    count, m, n = 0, 0, 0
     for i in range(window.rows):
         for j in range(window.columns):
             only, pixel = one[i, j], i * window.columns + j
@@ -78,15 +83,15 @@ def mixture_of(rays: Array, hits: RenderBuffers, per_px: int, shape: Shape) -> M
             elif only >= 0:
                 row, column = per_px * (window.row + i), per_px * (window.column + j)
                 pixels[count], numbers[count] = pixel, part[only]
-                lights[count] = _light(hits, light, row, column, per_px)
+                lights[count] = _light(range_m, triangle, light, (row, column), per_px)
                 alone[i, j], count = part[only], count + 1
             else:
-                first = count
-                count, sky = _add_rays(finer, mixed, shape, (numbers, lights), count)
-                for k in range(first, count):
-                    pixels[k] = pixel
-                alone[i, j] = numbers[first] if count == first + 1 and not sky else -1
-                free[i, j], mixed = sky / SAMPLES**2, mixed + 1
+                alone[i, j] = part_of[n] if end[m] == n + 1 and not sky[m] else -1
+                free[i, j] = sky[m] / SAMPLES**2
+                while n < end[m]:
+                    pixels[count], numbers[count], lights[count] = pixel, part_of[n], light_of[n]
+                    count, n = count + 1, n + 1
+                m += 1
     return Mixture(window, pixels[:count], numbers[:count], lights[:count], alone, free)
 
 
@@ -157,78 +162,106 @@ def _one_part(
 
 
 @inlined_kernel
-def _light(hits: RenderBuffers, light: Float32Array, row: int, column: int, per_px: int) -> float:
+def _light(
+    range_m: Float32Array,
+    triangle: NDArray[np.int32],
+    light: Float32Array,
+    first: tuple[int, int],
+    per_px: int,
+) -> float:
     """Return the mean brightness that a pixel's rays add.
 
     Args:
-        hits: first hits of the rays, shape (per_px * rows, per_px * columns).
+        range_m: range of the rays' first hits, shape (per_px * rows, per_px * columns), m.
+        triangle: their triangles, same shape.
         light: as in ``Shape``, shape (T,), m.
-        row: row of the pixel's first ray.
-        column: column of this ray.
+        first: row and column of the pixel's first ray.
         per_px: number of rays for each pixel, along rows and columns.
     """
-    total = 0.0
+    (row, column), total = first, 0.0
     for i in range(row, row + per_px):
         for j in range(column, column + per_px):
-            range_m = hits.range_m[i, j]
-            total += light[hits.triangle[i, j]] / (range_m * range_m * range_m)
+            away_m = range_m[i, j]
+            total += light[triangle[i, j]] / (away_m * away_m * away_m)
     return total / (per_px * per_px)
 
 
-@inlined_kernel
-def _add_rays(
-    finer: FinerHits, pixel: int, shape: Shape, parts: tuple[NDArray[np.int32], Float32Array], first: int
-) -> tuple[int, int]:
-    """Add the contributions of a pixel's parts; return the number of all, and that of rays to the sky.
+class _Mixed(NamedTuple):
+    """Contributions of parts to P pixels with several parts; N in all."""
+
+    end: NDArray[np.int32]
+    """Number of contributions to this pixel and those before it, shape (P,)."""
+    part: NDArray[np.int32]
+    """Number of the part, shape (N,) or more."""
+    light: Float32Array
+    """Brightness that the part adds, shape (N,) or more."""
+    sky: NDArray[np.int32]
+    """Number of rays to the sky, shape (P,)."""
+
+
+@inner_kernel
+def _mixed(finer: FinerHits, shape: Shape) -> _Mixed:
+    """Return the contributions of parts to pixels with several parts.
 
     Args:
-        finer: hits of the pixels with several parts.
-        pixel: which of them.
+        finer: hits of these pixels.
         shape: the target.
-        parts: parts and light of all contributions, shape (M,) or more, input and output.
-        first: number of contributions so far.
     """
-    (numbers, lights), (light, part), share = parts, (shape.light, shape.part), np.float32(1.0 / SAMPLES**2)
-    count, sky, before, slot = first, 0, -1, first
-    for n in range(SAMPLES * SAMPLES):
-        met, near = finer.triangle[pixel, n], finer.inverse[pixel, n]
-        if met < 0:
-            sky += 1
-            continue
-        if met != before:  # most rays meet the triangle that the ray before them meets
-            before, slot = met, first
-            while slot < count and numbers[slot] != part[met]:
-                slot += 1
-            if slot == count:
-                numbers[slot], lights[slot], count = part[met], 0.0, count + 1
-        lights[slot] += share * light[met] * near * near * near
-    kept = np.float32(_kept(finer, pixel, shape))
-    for slot in range(first, count):
-        lights[slot] *= kept
-    return count, sky
+    (triangle, inverse), light_of, part_of = finer, shape.light, shape.part
+    number, share, rad_per_m = len(triangle), np.float32(1.0 / SAMPLES**2), shape.rad_per_m
+    end, sky = np.empty(number, np.int32), np.zeros(number, np.int32)
+    parts, lights = np.empty(triangle.size, np.int32), np.empty(triangle.size, np.float32)
+    count = 0
+    for pixel in range(number):
+        first, before, slot = count, -1, count
+        for n in range(SAMPLES * SAMPLES):
+            met, near = triangle[pixel, n], inverse[pixel, n]
+            if met < 0:
+                sky[pixel] += 1
+                continue
+            if met != before:  # most rays meet the triangle that the ray before them meets
+                before, slot = met, first
+                while slot < count and parts[slot] != part_of[met]:
+                    slot += 1
+                if slot == count:
+                    parts[slot], lights[slot], count = part_of[met], 0.0, count + 1
+            lights[slot] += share * light_of[met] * near * near * near
+        kept = np.float32(_kept(triangle, inverse, pixel, light_of, rad_per_m))
+        for slot in range(first, count):
+            lights[slot] *= kept
+        end[pixel] = count
+    return _Mixed(end, parts, lights, sky)
 
 
 @inlined_kernel
-def _kept(finer: FinerHits, pixel: int, shape: Shape) -> float:
+def _kept(
+    triangle: NDArray[np.int32], inverse: Float32Array, pixel: int, light: Float32Array, rad_per_m: FloatArray
+) -> float:
     """Return the amplitude of a pixel over the sum of those of its rays.
 
     A pixel adds the phasors of what it shows. Parts that differ in range have different phases, so that their
     amplitudes do not add up. An image of several modulation frequencies has the mean of their amplitudes.
-    Arguments as for ``_add_rays``.
+
+    Args:
+        triangle: as in ``FinerHits``, shape (P, SAMPLES^2).
+        inverse: as in ``FinerHits``, same shape.
+        pixel: which of the pixels.
+        light: as in ``Shape``, shape (T,), m.
+        rad_per_m: as in ``Shape``, shape (F,), rad/m.
     """
     low, high = np.float32(np.inf), np.float32(0.0)
     for n in range(SAMPLES * SAMPLES):
-        near = finer.inverse[pixel, n]
+        near = inverse[pixel, n]
         low, high = (min(low, near) if near > 0.0 else low), max(high, near)
-    total, kept, frequencies = 0.0, 0.0, len(shape.rad_per_m)
-    if frequencies == 0 or not (1.0 / low - 1.0 / high) * shape.rad_per_m[0] > IN_PHASE_RAD:
+    total, kept, frequencies = 0.0, 0.0, len(rad_per_m)
+    if frequencies == 0 or not (1.0 / low - 1.0 / high) * rad_per_m[0] > IN_PHASE_RAD:
         return 1.0
     for f in range(frequencies):
         real, imaginary, total = 0.0, 0.0, 0.0
         for n in range(SAMPLES * SAMPLES):
-            met, near = finer.triangle[pixel, n], finer.inverse[pixel, n]
+            met, near = triangle[pixel, n], inverse[pixel, n]
             if met >= 0:
-                amplitude, phase = shape.light[met] * near * near * near, shape.rad_per_m[f] / near
+                amplitude, phase = light[met] * near * near * near, rad_per_m[f] / near
                 real, imaginary = real + amplitude * math.cos(phase), imaginary + amplitude * math.sin(phase)
                 total += amplitude
         kept += math.hypot(real, imaginary)

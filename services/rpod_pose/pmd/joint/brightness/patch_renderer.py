@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from rpod_geometry.finer_rays import Surface
 from rpod_geometry.kernels import kernel
-from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_geometry.rays import GridArrays, RenderBuffers
+from rpod_geometry.shared_corners import Mesh, cast_mesh, mesh_of
 from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.brightness.brightness_fit import (
     faintest,
@@ -92,6 +93,7 @@ class PatchRenderer:
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
         self._appearance, self._config = Appearance.of(target), config
         self._faces, self._surfaces = faces_of(target), surfaces_of(target)
+        self._mesh = mesh_of(np.asarray(target.triangles_m))
         self._beyond = beyond_sides(np.asarray(target.triangles_m))
         self._room = np.empty((2, 0), np.float32)
 
@@ -99,6 +101,11 @@ class PatchRenderer:
     def radius_m(self) -> float:
         """Radius of the target's bounding sphere about its origin."""
         return self._appearance.radius_m
+
+    @property
+    def mesh(self) -> Mesh:
+        """The target's triangles, for casting rays."""
+        return self._mesh
 
     @property
     def blur_px(self) -> float:
@@ -112,7 +119,7 @@ class PatchRenderer:
             self._room = np.empty((2, rows * columns), np.float32)
         range_m, triangle = (line[: rows * columns].reshape(rows, columns) for line in self._room)
         hits = RenderBuffers(range_m, triangle.view(np.int32))
-        cast_pose(rays, self._appearance.triangles_m, pose.R, pose.t, True, *hits)
+        cast_mesh(rays, self._mesh, pose.R, pose.t, hits)
         return hits
 
     def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Rendered:
