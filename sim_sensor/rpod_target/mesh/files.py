@@ -122,8 +122,12 @@ def read_mesh_file(
         tuple(_with_names_of_their_own(materials)),
         units,
     )
-    if not np.isfinite(mesh.triangles).all():
-        raise ValueError("contains a coordinate that is not finite: export it again")
+    wrong = np.flatnonzero(~np.isfinite(mesh.triangles).all(axis=(1, 2)))
+    if wrong.size:
+        raise ValueError(
+            f"{wrong.size} of its {len(mesh.triangles)} triangles have a coordinate that is not finite, the "
+            f"first one in object {objects[mesh.triangle_object[wrong[0]]]!r}: export it again"
+        )
     return mesh
 
 

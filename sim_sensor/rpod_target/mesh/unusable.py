@@ -21,6 +21,11 @@ _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
 _SIGNATURES |= dict.fromkeys((b"OFF\n", b"OFF\r", b"COFF\n", b"COFF\r"), "OFF")
+_COMMAS = (
+    "has commas as decimal marks: export it again with points (a setting of language or region), or as binary"
+)
+_FIRST = 1 << 16
+"""Length of the beginning in which a text's numbers are examined, bytes."""
 _PAGE = "is a web page, not the file that it offers: download the file itself"
 _NOT_FETCHED = {
     b"version https://git-lfs": "is a pointer of Git LFS, not the file itself: get it with git lfs pull",
@@ -28,6 +33,7 @@ _NOT_FETCHED = {
     b"<html": _PAGE,
 }
 """What stands in place of a file that was not fetched, by its first bytes in small letters."""
+_COMMA = re.compile(rb"^[ \t]*vertex[ \t]+[-+]?\d+,\d", re.MULTILINE | re.IGNORECASE)
 _NAMES = {
     ".stl": "STL",
     ".obj": "OBJ",
@@ -109,8 +115,8 @@ def _announced(content: bytes) -> int:
 def _cut_stl(content: bytes) -> str:
     starts = content[:_STL_HEADER].lstrip().lower().startswith(b"solid")
     facets = b"facet" in content or b"FACET" in content
-    if starts and facets:
-        return ""  # text; a binary file's header may begin with "solid" too
+    if starts and facets:  # text; a binary file's header may begin with "solid" too
+        return _COMMAS if _COMMA.search(content, 0, _FIRST) else ""
     if b"\0" not in content:
         whole = starts or facets
         return "" if whole else "is no STL, neither binary nor text: export it again"

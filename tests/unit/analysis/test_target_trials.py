@@ -147,6 +147,21 @@ def test_a_method_that_believes_what_is_wrong_is_told_as_wrong(
     monkeypatch.setattr(Guess, "track", lambda self, frame, pose: track(self, frame, pose * turned))
     (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
     assert (found.total.right, found.total.wrong, found.works) == (0, 3, False)
+    assert found.total.wrong_coarse == 0  # no covariance is stated
+
+
+@pytest.mark.usefixtures("only_a_probe")
+@pytest.mark.parametrize(("sigma_deg", "coarse"), [(12.0, 3), (1.0, 0)])
+def test_a_wrong_pose_that_is_no_farther_off_than_it_says_is_coarse(
+    sigma_deg: float, coarse: int, target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned = RigidTransform.from_rotation(Rotation.from_rotvec([0.3, 0.0, 0.0]))
+    covariance = np.diag([1e-2] * 3 + [np.radians(sigma_deg) ** 2] * 3)
+    monkeypatch.setattr(
+        Guess, "track", lambda _, __, pose: Registration(Source.OTHER, pose * turned, covariance=covariance)
+    )
+    (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
+    assert (found.total.wrong, found.total.wrong_coarse) == (3, coarse)
 
 
 @pytest.mark.parametrize(

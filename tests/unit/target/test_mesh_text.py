@@ -313,3 +313,16 @@ def test_materials_without_a_name_or_of_one_name_keep_their_colours(names: tuple
     assert len({material.name for material in mesh.materials}) == 2
     colours = {tuple(np.round(material.colour, 6)) for material in mesh.materials if material.colour}
     assert colours == {(1.0, 1.0, 0.0), (0.0, 0.0, 1.0)}
+
+
+def test_an_stl_with_commas_as_decimal_marks_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    corner = "vertex 0,5 0,0 1,25\n"
+    text = f"solid s\nfacet normal 0 0 1\nouter loop\n{3 * corner}endloop\nendfacet\nendsolid s\n"
+    with pytest.raises(ValueError, match="commas as decimal marks: export it again with points"):
+        read(tmp_path, "hull.stl", text.encode())
+
+
+def test_coordinates_that_are_not_finite_are_counted_and_the_first_one_is_named(tmp_path: Path) -> None:
+    text = "o hull\n" + OBJ + "v nan 0 0\no antenna\nf 1 2 5\n"
+    with pytest.raises(ValueError, match=r"1 of its 5 triangles .* not finite, .* object 'antenna'"):
+        read(tmp_path, "hull.obj", text.encode())
