@@ -38,7 +38,8 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
         console.print(f"{text}", soft_wrap=True)
     for one in made.target.symmetries:
         kind = "exact" if one.exact else "near: a sensor may mistake the turned pose for the right one"
-        console.print(f"symmetry {_about(one.axis, one.order, any_turn=one.continuous)}, {kind}")
+        about = _about(one.axis, one.order, any_turn=one.continuous)
+        console.print(f"symmetry {about}, {kind}", soft_wrap=True)
     console.print(f"size     {_sides(made.target)} m: is this the satellite's?", soft_wrap=True)
     console.print(f"target   {made.file}", soft_wrap=True)
     console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True)

@@ -271,6 +271,11 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
             f"mistaken for each other: {len(aside)}; use --origin centre to have them"
         )
     lines = []
+    if any(one.continuous and not one.exact for one in found):
+        told.append(
+            "from some sides nothing tells the turn about an axis of this target, and no track begins there: "
+            "if the turn does not matter to you, write exact: true to this symmetry; it is then reported as free"
+        )
     for one in found:
         if one.beside_origin_m > 0.0:
             continue

@@ -15,7 +15,7 @@ from rpod_target.drafting.draft import DraftOptions, draft
 from rpod_target.drafting.materials import proposed
 from rpod_target.mesh.files import FileMaterial
 from rpod_target.mesh.simplification import ENOUGH, simplified
-from rpod_target.symmetry import FoundSymmetry, find_symmetries
+from rpod_target.symmetry import FoundSymmetry, Likeness, find_symmetries
 
 OBJ = """mtllib colours.mtl
 o body
@@ -272,6 +272,18 @@ def test_what_is_left_over_far_away_is_told_and_does_not_count_for_the_assumed_m
     made = draft(tmp_path / "sat.stl", tmp_path / "sat.yaml", DraftOptions(units="m"), cache=cache)
     assert any("within 2 x 1 x 1 m, but the whole file is 31" in text for text in made.told)
     assert "no mass is given: 100 kg are assumed (--mass-kg)" in made.told
+
+
+def test_a_turn_that_some_sides_do_not_tell_is_written_with_the_remedy(cad: Path, cache: Path) -> None:
+    seen = Likeness("lidar", "30 returns", 46.7, 4, 1, 5.0)
+    around = FoundSymmetry(
+        (0.0, 0.0, 1.0), 12, False, 0.9, 0.0, (0.0, 0.0, 0.0), True, likeness=(seen,), mistaken=True
+    )
+    made = draft(
+        cad, cad.with_suffix(".yaml"), DraftOptions(units="m"), cache=cache, symmetries=lambda _: [around]
+    )
+    assert "# any turn: lidar mistakes it at 46.7 m from some sides" in made.file.read_text()
+    assert any("write exact: true to this symmetry" in text for text in made.told)
 
 
 def test_a_cube_has_all_its_thirteen_axes(tmp_path: Path, cache: Path) -> None:
