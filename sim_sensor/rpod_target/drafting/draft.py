@@ -274,7 +274,7 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
     if any(one.continuous and not one.exact for one in found):
         told.append(
             "from some sides nothing tells the turn about an axis of this target, and no track begins there: "
-            "if the turn does not matter to you, write exact: true to this symmetry; it is then reported as free"
+            "if the turn does not matter to you, write exact: true to this symmetry; it is then called free"
         )
     for one in found:
         if one.beside_origin_m > 0.0:
