@@ -1,5 +1,6 @@
 """Methods tried on a target: which kinds, at which conditions, and what counts as right."""
 
+import itertools
 import time
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -11,7 +12,7 @@ import yaml
 from numba import njit
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_analysis.target_check.clocks import clocks
+from rpod_analysis.target_check.clocks import Clocks, Moment, clocks
 from rpod_analysis.target_check.conditions import conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_analysis.target_check.trials import try_methods
@@ -224,6 +225,16 @@ def test_a_method_that_raises_is_told_as_one_that_refuses(
     (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
     assert (found.total.refused, found.works) == (3, False)
     assert found.reason.startswith("raised ZeroDivisionError")
+
+
+@pytest.mark.usefixtures("only_a_probe")
+def test_a_slow_method_is_tried_once_at_least_and_not_much_longer_than_allowed(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings = (Moment(9.0 * count, 0.0) for count in itertools.count())
+    monkeypatch.setattr(Clocks, "now", lambda _: next(readings))
+    (found,) = (one for one in try_methods(target) if one.name == "guess")
+    assert found.total.frames == 2  # before its third one more than 40 s have passed
 
 
 SIGNS = (1, -1)
