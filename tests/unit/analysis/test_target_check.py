@@ -11,11 +11,11 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from rpod_analysis.target_check import accuracy, check
-from rpod_analysis.target_check.accuracy import _stated, expected_accuracy
+from rpod_analysis.target_check.accuracy import RangeAccuracy, SensorAccuracy, _stated, expected_accuracy
 from rpod_analysis.target_check.check import check_target, described_frame
 from rpod_analysis.target_check.edges import straight_edges
 from rpod_analysis.target_check.holes import openings
-from rpod_analysis.target_check.page import render_views
+from rpod_analysis.target_check.page import render_views, write_page
 from rpod_pose.belief import Belief
 from rpod_pose.ports import Registration
 from rpod_schemas.poses import make_pose
@@ -77,6 +77,19 @@ def test_a_check_tells_size_parts_materials_mass_field_edges_and_accuracy(
         )
         assert list(seen.values()) == sorted(seen.values(), reverse=True)
         assert all(at["points"] >= 0 and (at["sigma_position_m"] or 1.0) > 0.0 for at in sensor["ranges"])
+
+
+def test_the_page_has_whole_millimetres_for_large_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "try_methods", lambda *_, **__: ())
+    monkeypatch.setattr(check, "checked_symmetries", lambda _: [])
+    far = RangeAccuracy(20.0, 8, 0.1358, 1.0), RangeAccuracy(30.0, 6, None, None)
+    monkeypatch.setattr(check, "expected_accuracy", lambda _: (SensorAccuracy("lidar", far),))
+    target = built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path)
+    page = write_page(target, check_target(target), tmp_path).page.read_text("utf-8")
+    assert ">136</td>" in page
+    assert page.count(">no pose</td>") == 2
 
 
 def test_a_part_whose_name_ends_as_that_of_a_back_is_no_back(tmp_path: Path) -> None:
