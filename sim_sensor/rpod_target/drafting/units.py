@@ -113,6 +113,8 @@ def most_sides(mesh: MeshFile) -> FloatArray:
     A drawing may have small things that were left over, far from the body.
     """
     area = np.repeat(areas_m2(mesh.triangles), 3)
+    if not area.sum() > 0.0:  # refused when it is built
+        return np.asarray(np.ptp(mesh.triangles, axis=(0, 1)))
     corners, sides = mesh.triangles.reshape(-1, 3), []
     for values in corners.T:
         order = np.argsort(values)

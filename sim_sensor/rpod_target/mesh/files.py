@@ -137,9 +137,11 @@ def _read(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> tuple[Any
         scene = _scene(*_prepared(suffix, content, beside))
         return scene, list(_pieces(scene))
     except ValueError as error:
-        if suffix != ".obj" or str(error) not in {obj_text.NO_CORNER, obj_text.NO_NUMBER}:
+        line = obj_text.wrong_line(content) if suffix == ".obj" else ""
+        if not line:
             raise
-        raise ValueError(f"{error}{obj_text.wrong_line(content)}") from error
+        known = str(error) in {obj_text.NO_CORNER, obj_text.NO_NUMBER}
+        raise ValueError(f"{error if known else obj_text.NO_NUMBER}{line}") from error
 
 
 def _with_names_of_their_own(materials: Sequence[FileMaterial]) -> Iterator[FileMaterial]:

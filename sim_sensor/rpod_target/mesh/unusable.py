@@ -21,9 +21,7 @@ _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
 _SIGNATURES |= dict.fromkeys((b"OFF\n", b"OFF\r", b"COFF\n", b"COFF\r"), "OFF")
-_COMMAS = (
-    "has commas as decimal marks: export it again with points (a setting of language or region), or as binary"
-)
+_COMMAS = "has commas as decimal marks: export it again with points (a setting of language or region)"
 _FIRST = 1 << 16
 """Length of the beginning in which a text's numbers are examined, bytes."""
 _PAGE = "is a web page, not the file that it offers: download the file itself"
@@ -33,7 +31,9 @@ _NOT_FETCHED = {
     b"<html": _PAGE,
 }
 """What stands in place of a file that was not fetched, by its first bytes in small letters."""
-_COMMA = re.compile(rb"^[ \t]*vertex[ \t]+[-+]?\d+,\d", re.MULTILINE | re.IGNORECASE)
+_COMMA = re.compile(rb"^[ \t]*(?:vertex[ \t])?[-+\d.e \t]*\d,\d", re.MULTILINE | re.IGNORECASE)
+_TEXTS = (".stl", ".ply", ".off")
+"""Formats whose numbers may be text; the reader of OBJ names the line."""
 _NAMES = {
     ".stl": "STL",
     ".obj": "OBJ",
@@ -61,7 +61,10 @@ def unusable(suffix: str, content: bytes, *, largest_mb: float = LARGEST_FILE_MB
     if not content:
         return "is empty (0 bytes): copy or export it again"
     start = content[:_STL_HEADER].lstrip().lower()
-    if reasons := [reason for found, reason in _NOT_FETCHED.items() if start.startswith(found)]:
+    reasons = [reason for found, reason in _NOT_FETCHED.items() if start.startswith(found)]
+    if suffix in _TEXTS and b"\0" not in content[:_FIRST] and _COMMA.search(content, 0, _FIRST):
+        reasons.append(_COMMAS)
+    if reasons:
         return reasons[0]
     own, is_ = _NAMES[suffix], _format(content)
     if is_ not in {"", own}:
@@ -115,8 +118,8 @@ def _announced(content: bytes) -> int:
 def _cut_stl(content: bytes) -> str:
     starts = content[:_STL_HEADER].lstrip().lower().startswith(b"solid")
     facets = b"facet" in content or b"FACET" in content
-    if starts and facets:  # text; a binary file's header may begin with "solid" too
-        return _COMMAS if _COMMA.search(content, 0, _FIRST) else ""
+    if starts and facets:
+        return ""  # text; a binary file's header may begin with "solid" too
     if b"\0" not in content:
         whole = starts or facets
         return "" if whole else "is no STL, neither binary nor text: export it again"
