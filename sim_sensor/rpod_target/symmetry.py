@@ -91,7 +91,8 @@ class FoundSymmetry:
     likeness: tuple[Likeness, ...] = ()
     """Results of sensors for the two poses; empty where none was asked."""
     mistaken: bool = False
-    """Whether some sensor, at some range, cannot distinguish the two poses in half of the views."""
+    """Whether some sensor, at some range, cannot distinguish the two poses in half of the views, or some turn
+    of any in one view."""
 
 
 def find_symmetries(target: Target) -> list[FoundSymmetry]:
@@ -103,17 +104,27 @@ def find_symmetries(target: Target) -> list[FoundSymmetry]:
         found += _about(matcher, axis, _HIGH_ORDERS if high else ())
     exact = sorted((one for one in found if one.exact), key=lambda one: -one.order)
     near = sorted((one for one in found if not one.exact), key=lambda one: (not one.continuous, -one.share))
-    return _without_flips_of_bodies_of_revolution([*exact, *_apart(near)[:_MOST_NEAR]])
+    return _without_flips_of_bodies_of_revolution([*exact, *_apart(near, exact)[:_MOST_NEAR]])
 
 
-def _apart(near: list[FoundSymmetry]) -> list[FoundSymmetry]:
-    """Return near symmetries without those whose axis is that of a nearer one, a few degrees off."""
+def _apart(near: list[FoundSymmetry], exact: list[FoundSymmetry]) -> list[FoundSymmetry]:
+    """Return near symmetries without those whose axis is that of a nearer or exact one, a few degrees off.
+
+    A sensor that aligns the poses sees the exact turn, and would call the one beside it exact too. Two such
+    half turns together would make any turn across them one that nobody can distinguish.
+    """
     kept: list[FoundSymmetry] = []
     for one in near:
-        alike = (other for other in kept if other.continuous == one.continuous and other.order == one.order)
+        alike = [other for other in kept if other.continuous == one.continuous and other.order == one.order]
+        alike += [other for other in exact if _is_turn_of(one, other)]
         if all(abs(float(np.dot(one.axis, other.axis))) < _SAME_NEAR_AXIS for other in alike):
             kept.append(one)
     return kept
+
+
+def _is_turn_of(near: FoundSymmetry, exact: FoundSymmetry) -> bool:
+    """Return whether the turns of an exact symmetry, about its own axis, have the angles of a near one."""
+    return exact.continuous or (not near.continuous and exact.order % near.order == 0)
 
 
 def _without_flips_of_bodies_of_revolution(found: list[FoundSymmetry]) -> list[FoundSymmetry]:

@@ -12,6 +12,7 @@ from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed,
 from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
+from rpod.play.too_far import unseen
 from rpod.scenarios import find
 from rpod_runtime import BusError
 from rpod_runtime.process.lifecycle import EXIT_OK, configure_logging
@@ -52,7 +53,10 @@ def run_command(
     try:
         scenario, pace = _scenario(name, duration_s=duration_s, seed=seed), _speed(speed)
         # built once here, so that the services find them in the cache
-        check_model(load_target(scenario.target), load_target(scenario.model))
+        target = load_target(scenario.target)
+        check_model(target, load_target(scenario.model))
+        for text in unseen(scenario, target.radius_m):
+            print(f"rpod run: {text}", file=sys.stderr)
         folder = _folder(out, scenario)
     except (ConfigurationError, RunError, OSError) as error:
         return failed("run", error)

@@ -16,7 +16,8 @@ from rpod.steps import Steps
 from rpod_analysis.target_check import TargetCheck, check_target, checked_symmetries, write_page
 from rpod_runtime.process.lifecycle import EXIT_OK
 from rpod_target import Target, TargetError, load_target
-from rpod_target.drafting.draft import METRES, Draft, DraftOptions, draft
+from rpod_target.drafting.draft import Draft, DraftOptions, draft
+from rpod_target.drafting.units import METRES
 from rpod_target.mesh.files import FORMATS, METRIC
 
 
@@ -35,6 +36,10 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
     console = Console(markup=False, highlight=False)
     for text in made.told:
         console.print(f"{text}", soft_wrap=True)
+    for one in made.target.symmetries:
+        kind = "exact" if one.exact else "near: a sensor may mistake the turned pose for the right one"
+        about = _about(one.axis, one.order, any_turn=one.continuous)
+        console.print(f"symmetry {about}, {kind}", soft_wrap=True)
     console.print(f"size     {_sides(made.target)} m: is this the satellite's?", soft_wrap=True)
     console.print(f"target   {made.file}", soft_wrap=True)
     console.print(f"next     rpod target check {shlex.quote(str(made.file))}", soft_wrap=True)
@@ -44,6 +49,12 @@ def new_command(cad: Path, options: DraftOptions, *, out: Path | None, as_json: 
 def _sides(target: Target) -> str:
     """Return the lengths of a target's sides along its axes, m."""
     return " x ".join(f"{side:.4g}" for side in np.ptp(target.triangles_m.reshape(-1, 3), axis=0))
+
+
+def _about(axis: tuple[float, float, float], order: int, *, any_turn: bool) -> str:
+    """Return an axis of symmetry and its turns in words."""
+    along = ", ".join(f"{value:.3f}" for value in axis)
+    return f"about ({along}): " + ("any turn" if any_turn else f"every {360 / order:.4g} deg")
 
 
 def _asked(cad: Path, options: DraftOptions, *, as_json: bool) -> DraftOptions:
@@ -132,10 +143,8 @@ def _print(found: TargetCheck, console: Console) -> None:
     for text in found.repairs:
         console.print(f"repaired  {text}", soft_wrap=True)
     for one in found.found_symmetries:
-        axis = ", ".join(f"{value:.3f}" for value in one.axis)
-        turn = "any turn" if one.continuous else f"order {one.order}"
         kind = "exact" if one.exact else "near" if one.mistaken else "near, but sensors can distinguish it"
-        console.print(f"symmetry  about ({axis}): {turn}, {kind}")
+        console.print(f"symmetry  {_about(one.axis, one.order, any_turn=one.continuous)}, {kind}")
     ignored = [part.name for part in found.parts if part.unreliable]
     if ignored:
         console.print(f"ignored   {', '.join(ignored)}: unreliable parts", soft_wrap=True)
@@ -155,6 +164,12 @@ def _print(found: TargetCheck, console: Console) -> None:
         if each.total.unseen:
             text = (
                 f"{each.total.unseen} of {each.total.frames} frames show too little of the target to be tried"
+            )
+            console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True)
+        if each.total.wrong:
+            text = (
+                f"{each.total.wrong_coarse} of {each.total.wrong} wrong poses are coarse: no farther off "
+                "than their own standard deviations say"
             )
             console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True)
         if each.reason:
@@ -196,9 +211,10 @@ def _short(value: float | None, factor: float = 1.0) -> str:
 
 def _accuracy(found: TargetCheck) -> Table:
     table = Table(
-        title="smallest error of one frame (1 sigma, worst axis)",
+        title="accuracy of one frame (1 sigma, worst axis), as the default tracker states it",
         title_justify="left",
-        caption="points: returns or pixels on the target; edges: edges of the model that the sensor resolves",
+        caption="points: returns or pixels on the target; position, attitude: medians over random attitudes, "
+        "-: most frames give no pose; edges: edges of the model that the sensor resolves",
         caption_justify="left",
     )
     for name in ("sensor", "range, m", "points", "position, mm", "attitude, deg", "edges"):

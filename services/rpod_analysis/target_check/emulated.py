@@ -2,10 +2,12 @@
 
 from typing import Any
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_emulator.local_sensor import LocalSensor
 from rpod_pose.methods import kind_methods
+from rpod_pose.ports import Task
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.sensor import EmulatedSensor, SensorInput
@@ -49,3 +51,17 @@ class EmulatedKind:
         poses = [T_sensor_target] * len(self.sensor.pose_times_s())
         sun = self.sensor.T_chaser_sensor.rotation.apply(sun_W_m2)
         return self._local.frame(poses, sun, frame_at(self.sensor, number, epoch_ns=_EPOCH_NS))
+
+
+def default_tracker(emulated: EmulatedKind) -> Any:
+    """Return the tracker of a sensor whose configuration names no method."""
+    task = Task(emulated.target, emulated.heard, emulated.setup)
+    kind = kind_methods(task.sensor)
+    return kind.make(task).tracker if kind.tracker is None else kind.tracker(task)
+
+
+def measured_points(frame: SensorFrame) -> int:
+    """Return the number of a frame's returns, or of an image's pixels with depth."""
+    if frame.lens is None:
+        return len(frame.returns_m)
+    return sum(int(np.isfinite(image.values).sum()) for image in frame.images if image.scale == "depth")

@@ -70,12 +70,20 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
     for one in found:
         likeness = tuple(each for sensor in sensors for each in _likeness(target, sensor, one))
         exact = all(each.alike == each.views for each in likeness) if likeness else one.exact
-        mistaken = exact or any(2 * each.alike >= each.views for each in likeness)
+        mistaken = exact or any(_is_mistaken(one, each) for each in likeness)
         checked.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
     checked = _consistent(checked)
     covered = [one for one in checked if one.continuous and one.mistaken]
     kept = [one for one in checked if not any(_includes(other, one) for other in covered)]
     return sorted(kept, key=lambda one: (not one.exact, not one.mistaken))
+
+
+def _is_mistaken(one: FoundSymmetry, seen: Likeness) -> bool:
+    """Return whether a sensor cannot distinguish the poses in half of the views, of any turn in any view.
+
+    Where a few parts alone tell any turn, the sides that do not show them leave the angle open.
+    """
+    return seen.alike > 0 if one.continuous else 2 * seen.alike >= seen.views
 
 
 def _consistent(checked: list[FoundSymmetry]) -> list[FoundSymmetry]:

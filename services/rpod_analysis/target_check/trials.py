@@ -9,13 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import chi2
 
+from rpod_analysis.scoring.score import find_nees
 from rpod_analysis.target_check.clocks import Clocks, clocks
 from rpod_analysis.target_check.conditions import Condition, conditions
-from rpod_analysis.target_check.emulated import EmulatedKind
+from rpod_analysis.target_check.emulated import EmulatedKind, measured_points
 from rpod_pose.methods import kind_methods
 from rpod_pose.ports import Acquisition, Task
 from rpod_schemas.errors import SchemaError
+from rpod_schemas.poses import pose_error
 from rpod_schemas.sensors import Method, SensorKind, methods, sensor_kinds
 from rpod_schemas.types import BeliefLevel, SensorFrame
 from rpod_target import Target
@@ -25,13 +28,17 @@ TRIALS = 12
 _OTHERS = 3
 """One frame in this number is tried by the other methods of its sensor, too."""
 _LONGEST_S = 20.0
-"""Processor time of all trials after which no further frame is tried, unless their number is asked for."""
+"""Processor time of all trials after which no further frame is tried, unless their number is asked for. Each
+default method is tried on one frame at least, and on one of each condition until as long again has passed."""
 _SEED = 1
 _RIGHT_DEG, _RIGHT = 4.0, 0.04
 """Errors of a right pose: attitude, deg, and position over the longest side."""
 
 _FEWEST_RETURNS, _FEWEST_PIXELS = 6, 200
 """Returns of a scan, and pixels with depth of an image, below which a frame cannot fix a pose."""
+
+_ONE_IN_A_HUNDRED = float(chi2.ppf(0.99, 6))
+"""NEES that one pose of a hundred exceeds."""
 
 Result = Literal["right", "ambiguous", "refused", "wrong", "unseen"]
 
@@ -55,6 +62,8 @@ class Answers:
     """Refused frames whose pose was right."""
     wrong: int
     """Poses that were accepted and are not right."""
+    wrong_coarse: int
+    """Wrong ones that are no farther off than one in a hundred is by their own covariance."""
     unseen: int
     """Frames without an accepted pose that hold fewer than 6 returns or 200 pixels of depth."""
     attitude_deg: float | None
@@ -90,6 +99,8 @@ class _Trial:
     range_m: float
     result: Result
     is_right: bool
+    is_coarse: bool
+    """Whether the pose is wrong, but no farther off than its own covariance says."""
     attitude_deg: float | None
     position_m: float | None
     reason: str
@@ -142,7 +153,8 @@ def _try_kind(
     tried = _prepared_methods(emulated, target)
     for one in (each for each in tried if each.default and each.made is not None):
         for number, (condition, frame) in enumerate(seen):
-            if number < len(names) or clock.now().processor_s < until_s:
+            late_s = until_s + (_LONGEST_S if number < len(names) else 0.0)
+            if not one.trials or clock.now().processor_s < late_s:
                 one.trials.append(_tried(one, frame, condition, target, clock))
     for condition, frame in seen[: -(-count // _OTHERS)]:
         for one in (each for each in tried if not each.default and each.made is not None):
@@ -186,7 +198,7 @@ def _tried(
     range_m = float(np.linalg.norm(truth.translation))
     if frame is None:
         text = "the sensor measures nothing"
-        return _Trial(condition.name, range_m, "unseen", False, None, None, text, 0.0)
+        return _Trial(condition.name, range_m, "unseen", False, False, None, None, text, 0.0)
     begin_s = clock.now().wall_s
     try:
         if one.method.role == "tracking":
@@ -197,7 +209,7 @@ def _tried(
             accepted = answer.begins_track
     except Exception as error:  # noqa: BLE001 - a method must not raise on data; one that does is told
         text = f"raised {type(error).__name__}: {' '.join(str(error).split())}"
-        return _Trial(condition.name, range_m, "refused", False, None, None, text, 0.0)
+        return _Trial(condition.name, range_m, "refused", False, False, None, None, text, 0.0)
     took_s = clock.now().wall_s - begin_s
     attitude_deg, position_m = _error(answer.pose, truth, target)
     right = _is_right(attitude_deg, position_m, target)
@@ -212,6 +224,7 @@ def _tried(
         range_m,
         result,
         right,
+        result == "wrong" and _as_stated(answer, truth, target),
         attitude_deg if accepted else None,
         position_m if accepted else None,
         answer.belief.refusal,
@@ -219,12 +232,24 @@ def _tried(
     )
 
 
+def _as_stated(answer: Acquisition, truth: RigidTransform, target: Target) -> bool:
+    """Return whether an accepted pose is no farther off than one in a hundred is by its covariance."""
+    if answer.pose is None or not np.isfinite(answer.covariance).all():
+        return False
+    R = answer.pose.rotation.as_matrix()
+    attitude_rad, position_m = pose_error(target.equivalence.nearest_pose(truth, answer.pose), answer.pose)
+    error = np.concatenate((position_m, R @ attitude_rad))
+    covariance = target.equivalence.with_free_variance(answer.covariance, R, 1.0)
+    return bool(find_nees(error[None], covariance[None])[0] < _ONE_IN_A_HUNDRED)
+
+
 def _measured(frame: SensorFrame) -> bool:
     """Return whether a frame holds enough of the target for a pose."""
     if frame.lens is None:
-        return len(frame.returns_m) >= _FEWEST_RETURNS
-    depth = [image.values for image in frame.images if image.scale == "depth"]
-    return not depth or int(np.isfinite(depth[0]).sum()) >= _FEWEST_PIXELS
+        return measured_points(frame) >= _FEWEST_RETURNS
+    if all(image.scale != "depth" for image in frame.images):
+        return True
+    return measured_points(frame) >= _FEWEST_PIXELS
 
 
 def _error(found: RigidTransform | None, truth: RigidTransform, target: Target) -> tuple[float, float]:
@@ -273,6 +298,7 @@ def _answers(name: str, trials: Sequence[_Trial]) -> Answers:
         count("refused"),
         sum(trial.result == "refused" and trial.is_right for trial in trials),
         count("wrong"),
+        sum(trial.is_coarse for trial in trials),
         count("unseen"),
         _median([trial.attitude_deg for trial in trials if trial.attitude_deg is not None]),
         _median([trial.position_m for trial in trials if trial.position_m is not None]),

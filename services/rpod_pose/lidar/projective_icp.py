@@ -176,7 +176,7 @@ class ProjectiveIcp:
         posterior = None
         if not sure:
             found, posterior = self._resumed(seen, problem, found)
-        if sure or not self._near_axes:
+        if not self._near_axes:
             return self._with_sizes(seen, problem, found, self._placed(seen, found, posterior))
         turned, spread = self._turned(seen, problem, start, found)
         registration = self._placed(seen, turned, posterior if turned is found else None)

@@ -13,19 +13,18 @@ import yaml
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.drafting.materials import proposed
+from rpod_target.drafting.units import left_over, metres_per_unit, most_sides
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
-from rpod_target.mesh.files import METRIC, STEP, MeshFile, companions, read_mesh_file
+from rpod_target.mesh.files import MeshFile, companions, read_mesh_file
 from rpod_target.mesh.folder import read_files
 from rpod_target.mesh.unusable import LARGEST_FILE_MB, NO_AREA
-from rpod_target.parameters import LARGEST_M, SMALLEST_M, MaterialParameters, usual_size
+from rpod_target.parameters import MaterialParameters
 from rpod_target.target import Target
 
 if TYPE_CHECKING:  # needs Open3D
     from rpod_target.symmetry import FoundSymmetry
 
-METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "km": 1e3}
-"""Metres in the units that a drawing may have."""
 _MOST_PARTS = 64
 """Number of objects of a file up to which each is a part; more are one part."""
 _ASSUMED_KG_M3 = 50.0
@@ -90,7 +89,8 @@ def draft(
     told: list[str] = []
     say(f"reading {cad.name}")
     mesh = _read(cad, options.largest_file_mb, told)
-    scale = _scale(cad, mesh, options, told)
+    scale = metres_per_unit(cad, mesh, options, told)
+    told += left_over(mesh, scale)
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
 
@@ -149,74 +149,6 @@ def _read(cad: Path, largest_mb: float, told: list[str]) -> MeshFile:
         raise TargetError(cad, "", reason) from error
 
 
-def _scale(cad: Path, mesh: MeshFile, options: DraftOptions, told: list[str]) -> float:
-    """Return metres per unit of the file."""
-    longest = float(np.ptp(mesh.triangles, axis=(0, 1)).max())
-    if not longest > 0.0:
-        raise TargetError(cad, "", NO_AREA)
-    if options.units is not None and options.units not in METRES:
-        raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
-    by_unit = None if options.units is None else METRES[options.units]
-    states_its_unit = cad.suffix.lower() in STEP
-    if states_its_unit and by_unit is not None:
-        if options.units not in ("m", *mesh.units) and options.longest_side_m is None:
-            raise TargetError(cad, "--units", _own_unit(mesh, longest))
-        by_unit = 1.0
-    if by_unit is None and options.longest_side_m is None and cad.suffix.lower() in METRIC:
-        told.append(_AS_STATED if states_its_unit else "the format is in metres")
-        by_unit = 1.0
-    if options.longest_side_m is not None:
-        scale = options.longest_side_m / longest
-        if by_unit is not None and abs(scale / by_unit - 1.0) > 0.01:
-            told.append(
-                f"by its unit the longest side is {by_unit * longest:.4g} m; it is scaled to "
-                f"{options.longest_side_m:g} m"
-            )
-        return scale
-    if by_unit is None:
-        reason = f"is missing, and the file does not state its unit; its longest side is {longest:.4g} units"
-        raise TargetError(cad, "--units", f"{reason}: {_usual(longest)}; or give --longest-side-m")
-    if not usual_size(by_unit * longest) and not options.confirmed_size:
-        raise TargetError(cad, "--units", _other_units(by_unit, longest, states_its_unit=states_its_unit))
-    return by_unit
-
-
-_AS_STATED = "the unit is the one that the file states"
-
-
-def _own_unit(mesh: MeshFile, longest: float) -> str:
-    """Return why a unit is refused that a STEP file does not name."""
-    named = f" ({', '.join(mesh.units)})" if mesh.units else ""
-    return (
-        f"is not needed: the file states its own unit{named}, by which the longest side is {longest:.4g} m; "
-        "leave --units out, or give --longest-side-m if this is wrong"
-    )
-
-
-def _other_units(by_unit: float, longest: float, *, states_its_unit: bool) -> str:
-    """Return why a size is refused, with the units that would give a usual one."""
-    reason = (
-        f"the unit that the file states makes its longest side {longest:.4g} m"
-        if states_its_unit
-        else f"makes the target's longest side {by_unit * longest:.4g} m"
-    )
-    remedy = "give" if states_its_unit else f"{_usual(longest)}; or give"
-    return (
-        f"{reason}, and {SMALLEST_M} m to {LARGEST_M:.0f} m are usual: {remedy} --longest-side-m; if the "
-        "size is right, give --confirm-size, which writes confirmed_size: true"
-    )
-
-
-def _usual(longest: float) -> str:
-    """Return the usual sizes that a longest side has with the units, in words."""
-    usual = [
-        f"{scale * longest:.3g} m with {name}"
-        for name, scale in METRES.items()
-        if usual_size(scale * longest)
-    ]
-    return f"it is {', '.join(usual)}" if usual else "no unit makes it usual"
-
-
 class _Sections:
     """The parts of the file's text."""
 
@@ -273,7 +205,7 @@ class _Sections:
             return f"density_kg_m3: {options.density_kg_m3!r}"
         if options.mass_kg is not None:
             return f"mass_kg: {options.mass_kg!r}"
-        sides_m = self._scale * np.ptp(self._mesh.triangles, axis=(0, 1))
+        sides_m = self._scale * most_sides(self._mesh)
         mass_kg = max(_ASSUMED_KG_M3 * float(np.prod(sides_m)), float(sides_m.max()) ** 3)
         self.told.append(f"no mass is given: {mass_kg:.3g} kg are assumed (--mass-kg)")
         return (
@@ -339,6 +271,11 @@ def _symmetries(found: "Sequence[FoundSymmetry]", told: list[str]) -> list[str]:
             f"mistaken for each other: {len(aside)}; use --origin centre to have them"
         )
     lines = []
+    if any(one.continuous and not one.exact for one in found):
+        told.append(
+            "from some sides nothing tells the turn about an axis of this target, and no track begins there: "
+            "if the turn does not matter to you, write exact: true to this symmetry; it is then called free"
+        )
     for one in found:
         if one.beside_origin_m > 0.0:
             continue
@@ -359,7 +296,11 @@ def _note(one: "FoundSymmetry") -> str:
     parts = []
     for sensor in dict.fromkeys(each.sensor for each in one.likeness):
         mine = [each for each in one.likeness if each.sensor == sensor]
-        mistaken = [f"{each.range_m:.3g} m" for each in mine if 2 * each.alike >= each.views]
+        mistaken = [
+            f"{each.range_m:.3g} m" + ("" if 2 * each.alike >= each.views else " from some sides")
+            for each in mine
+            if 2 * each.alike >= each.views or (one.continuous and each.alike)
+        ]
         parts.append(
             f"{sensor} mistakes it at {', '.join(mistaken)}" if mistaken else f"{sensor} distinguishes it"
         )

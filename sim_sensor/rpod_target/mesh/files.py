@@ -122,8 +122,12 @@ def read_mesh_file(
         tuple(_with_names_of_their_own(materials)),
         units,
     )
-    if not np.isfinite(mesh.triangles).all():
-        raise ValueError("contains a coordinate that is not finite: export it again")
+    wrong = np.flatnonzero(~np.isfinite(mesh.triangles).all(axis=(1, 2)))
+    if wrong.size:
+        raise ValueError(
+            f"{wrong.size} of its {len(mesh.triangles)} triangles have a coordinate that is not finite, the "
+            f"first one in object {objects[mesh.triangle_object[wrong[0]]]!r}: export it again"
+        )
     return mesh
 
 
@@ -133,9 +137,11 @@ def _read(suffix: str, content: bytes, beside: Mapping[str, bytes]) -> tuple[Any
         scene = _scene(*_prepared(suffix, content, beside))
         return scene, list(_pieces(scene))
     except ValueError as error:
-        if suffix != ".obj" or str(error) not in {obj_text.NO_CORNER, obj_text.NO_NUMBER}:
+        line = obj_text.wrong_line(content) if suffix == ".obj" else ""
+        if not line:
             raise
-        raise ValueError(f"{error}{obj_text.wrong_line(content)}") from error
+        known = str(error) in {obj_text.NO_CORNER, obj_text.NO_NUMBER}
+        raise ValueError(f"{error if known else obj_text.NO_NUMBER}{line}") from error
 
 
 def _with_names_of_their_own(materials: Sequence[FileMaterial]) -> Iterator[FileMaterial]:

@@ -137,6 +137,8 @@ class _Faces:
         lines = found[0]
         if b"/" in lines:
             lines = _AFTER_SLASH.sub(b"", lines)
+        if b" 0 " in lines or b" 0\n" in lines + b"\n":  # corners are counted from 1
+            raise ValueError(NO_CORNER)
         if b"-" not in lines and _POLYGON.search(lines) is None:
             return lines
         return b"\n".join(self._split(lines, found.start())) + b"\n"

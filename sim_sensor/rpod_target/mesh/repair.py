@@ -334,7 +334,8 @@ def _turned_outwards(mesh: RepairedMesh, told: list[str]) -> RepairedMesh:
     if not closed.all():
         told.append(
             f"{np.count_nonzero(~closed)} of {count} separate surfaces are open, with "
-            f"{mesh.open_edges.sum()} open edges: what is inside is found by winding number and visibility"
+            f"{mesh.open_edges.sum()} open edges: inside is where hardly any direction sees a place (a box "
+            "with a hole is solid, a cup is hollow)"
         )
     result = turned(mesh, inwards[mesh.surface]) if inwards.any() else mesh
     return replace(result, no_inside=no_inside, cavity=cavity, told=tuple(told))

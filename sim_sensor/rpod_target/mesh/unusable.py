@@ -21,6 +21,9 @@ _STL_HEADER = 84
 _STL_TRIANGLE = 50
 _SIGNATURES = {b"ply\n": "PLY", b"ply\r": "PLY", b"glTF": "GLB", b"ISO-10303-21": "STEP"}
 _SIGNATURES |= dict.fromkeys((b"OFF\n", b"OFF\r", b"COFF\n", b"COFF\r"), "OFF")
+_COMMAS = "has commas as decimal marks: export it again with points (a setting of language or region)"
+_FIRST = 1 << 16
+"""Length of the beginning in which a text's numbers are examined, bytes."""
 _PAGE = "is a web page, not the file that it offers: download the file itself"
 _NOT_FETCHED = {
     b"version https://git-lfs": "is a pointer of Git LFS, not the file itself: get it with git lfs pull",
@@ -28,6 +31,9 @@ _NOT_FETCHED = {
     b"<html": _PAGE,
 }
 """What stands in place of a file that was not fetched, by its first bytes in small letters."""
+_COMMA = re.compile(rb"^[ \t]*(?:vertex[ \t])?[-+\d.e \t]*\d,\d", re.MULTILINE | re.IGNORECASE)
+_TEXTS = (".stl", ".ply", ".off")
+"""Formats whose numbers may be text; the reader of OBJ names the line."""
 _NAMES = {
     ".stl": "STL",
     ".obj": "OBJ",
@@ -55,7 +61,10 @@ def unusable(suffix: str, content: bytes, *, largest_mb: float = LARGEST_FILE_MB
     if not content:
         return "is empty (0 bytes): copy or export it again"
     start = content[:_STL_HEADER].lstrip().lower()
-    if reasons := [reason for found, reason in _NOT_FETCHED.items() if start.startswith(found)]:
+    reasons = [reason for found, reason in _NOT_FETCHED.items() if start.startswith(found)]
+    if suffix in _TEXTS and b"\0" not in content[:_FIRST] and _COMMA.search(content, 0, _FIRST):
+        reasons.append(_COMMAS)
+    if reasons:
         return reasons[0]
     own, is_ = _NAMES[suffix], _format(content)
     if is_ not in {"", own}:

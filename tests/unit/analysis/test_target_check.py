@@ -10,13 +10,16 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.target_check import check
-from rpod_analysis.target_check.accuracy import _information
+from rpod_analysis.target_check import accuracy, check
+from rpod_analysis.target_check.accuracy import RangeAccuracy, SensorAccuracy, _stated, expected_accuracy
 from rpod_analysis.target_check.check import check_target, described_frame
 from rpod_analysis.target_check.edges import straight_edges
 from rpod_analysis.target_check.holes import openings
-from rpod_analysis.target_check.page import render_views
+from rpod_analysis.target_check.page import render_views, write_page
+from rpod_pose.belief import Belief
+from rpod_pose.ports import Registration
 from rpod_schemas.poses import make_pose
+from rpod_schemas.types import Source
 from rpod_target import NO_SYMMETRY, Equivalence, Symmetry, Target, load_target
 
 
@@ -76,6 +79,19 @@ def test_a_check_tells_size_parts_materials_mass_field_edges_and_accuracy(
         assert all(at["points"] >= 0 and (at["sigma_position_m"] or 1.0) > 0.0 for at in sensor["ranges"])
 
 
+def test_the_page_has_whole_millimetres_for_large_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "try_methods", lambda *_, **__: ())
+    monkeypatch.setattr(check, "checked_symmetries", lambda _: [])
+    far = RangeAccuracy(20.0, 8, 0.1358, 1.0), RangeAccuracy(30.0, 6, None, None)
+    monkeypatch.setattr(check, "expected_accuracy", lambda _: (SensorAccuracy("lidar", far),))
+    target = built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path)
+    page = write_page(target, check_target(target), tmp_path).page.read_text("utf-8")
+    assert ">136</td>" in page
+    assert page.count(">no pose</td>") == 2
+
+
 def test_a_part_whose_name_ends_as_that_of_a_back_is_no_back(tmp_path: Path) -> None:
     mesh = trimesh.creation.box((2.0, 1.0, 0.5))
     mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.25).all(axis=1))
@@ -93,28 +109,27 @@ def test_an_opening_is_told_with_its_place(tmp_path: Path) -> None:
     assert (opening.edges, opening.length_m, opening.extent_m) == (4, pytest.approx(6.0), pytest.approx(2.0))
 
 
-def test_what_a_plane_does_not_measure_is_not_given() -> None:
-    rng = np.random.default_rng(1)
-    places_m = np.column_stack([rng.uniform(-1.0, 1.0, (200, 2)), np.full(200, 5.0)])
-    normals = np.tile([0.0, 0.0, -1.0], (200, 1))
-    pose = make_pose(translation_m=[0.0, 0.0, 5.0])
-    frame = places_m, normals, np.full(200, 0.01)
-    points, position, attitude = _information(frame, pose, NO_SYMMETRY)
-    assert points == 200
-    assert not np.isfinite(position)
-    assert not np.isfinite(attitude)
+def test_the_accuracy_is_that_of_the_least_known_direction_but_a_free_one() -> None:
+    pose = make_pose(rotation=Rotation.from_euler("y", 90.0, degrees=True), translation_m=[0.0, 0.0, 5.0])
+    covariance = np.diag([1e-4, 4e-4, 1e-4, 1e-4, 1e-6, 3.0])  # the angle about the sensor's x axis is free
+    covariance[3:, 3:] = covariance[3:, 3:][::-1, ::-1]
+    found = Registration(Source.LIDAR, pose, belief=Belief(), covariance=covariance)
     free = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 2, exact=True, continuous=True)])
-    assert 0.0 < _information(frame, pose, free)[2] < 1.0
+    assert _stated(found, free) == pytest.approx((0.02, np.degrees(0.01)))
+    assert _stated(found, NO_SYMMETRY)[1] == pytest.approx(np.degrees(np.sqrt(3.0)))
+    assert _stated(None, free) == (np.inf, np.inf)
+    assert _stated(Registration.none(Source.LIDAR, "few returns"), free) == (np.inf, np.inf)
 
 
-def test_more_points_measure_better() -> None:
-    sigmas = []
-    for count in (300, 1200):
-        normals = Rotation.random(count, rng=np.random.default_rng(2)).apply([0.0, 0.0, 1.0])
-        places_m = normals * [1.0, 0.5, 0.3] + [0.0, 0.0, 6.0]
-        pose = make_pose(translation_m=[0.0, 0.0, 6.0])
-        sigmas.append(_information((places_m, normals, np.full(count, 0.01)), pose, NO_SYMMETRY)[1:])
-    np.testing.assert_allclose(np.divide(*sigmas), 2.0, rtol=0.2)
+def test_the_outline_of_a_plate_tells_how_it_has_moved_in_its_plane(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "_SHARES", (1.5,))
+    (lidar, *_) = expected_accuracy(built(trimesh.creation.box((2.0, 1.5, 0.001)), tmp_path))
+    close = lidar.ranges[0]
+    assert close.points > 500
+    assert 1e-4 < (close.sigma_position_m or np.inf) < 0.02
+    assert (close.sigma_attitude_deg or np.inf) < 1.0
 
 
 def test_the_picture_shows_the_target_and_its_edges(tmp_path: Path) -> None:

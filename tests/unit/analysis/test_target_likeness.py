@@ -9,7 +9,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.target_check.likeness import _consistent, checked_symmetries
+from rpod_analysis.target_check.likeness import _consistent, _is_mistaken, checked_symmetries
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
 from rpod_target.drafting.draft import DraftOptions, draft
@@ -168,3 +168,15 @@ def test_exact_half_turns_do_not_generate_one_that_a_sensor_distinguishes() -> N
     assert [one.exact for one in _consistent([x, y, z])] == [True, False, False]
     assert [one.exact for one in _consistent([x, y, replace(z, exact=True)])] == [True, True, True]
     assert [one.exact for one in _consistent([x, z])] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("alike", "one_turn", "any_turn"), [(0, False, False), (1, False, True), (2, True, True)]
+)
+def test_any_turn_is_mistaken_from_one_side_and_one_turn_from_half_of_the_sides(
+    alike: int, one_turn: bool, any_turn: bool
+) -> None:
+    one = half_turn((1.0, 0.0, 0.0), exact=False, log_likelihood=9.0)
+    seen = replace(one.likeness[0], alike=alike)
+    assert _is_mistaken(one, seen) is one_turn
+    assert _is_mistaken(replace(one, continuous=True), seen) is any_turn

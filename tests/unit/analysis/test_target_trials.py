@@ -1,5 +1,6 @@
 """Methods tried on a target: which kinds, at which conditions, and what counts as right."""
 
+import itertools
 import time
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -11,7 +12,7 @@ import yaml
 from numba import njit
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_analysis.target_check.clocks import clocks
+from rpod_analysis.target_check.clocks import Clocks, Moment, clocks
 from rpod_analysis.target_check.conditions import conditions
 from rpod_analysis.target_check.emulated import EmulatedKind
 from rpod_analysis.target_check.trials import try_methods
@@ -147,6 +148,21 @@ def test_a_method_that_believes_what_is_wrong_is_told_as_wrong(
     monkeypatch.setattr(Guess, "track", lambda self, frame, pose: track(self, frame, pose * turned))
     (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
     assert (found.total.right, found.total.wrong, found.works) == (0, 3, False)
+    assert found.total.wrong_coarse == 0  # no covariance is stated
+
+
+@pytest.mark.usefixtures("only_a_probe")
+@pytest.mark.parametrize(("sigma_deg", "coarse"), [(12.0, 3), (1.0, 0)])
+def test_a_wrong_pose_that_is_no_farther_off_than_it_says_is_coarse(
+    sigma_deg: float, coarse: int, target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned = RigidTransform.from_rotation(Rotation.from_rotvec([0.3, 0.0, 0.0]))
+    covariance = np.diag([1e-2] * 3 + [np.radians(sigma_deg) ** 2] * 3)
+    monkeypatch.setattr(
+        Guess, "track", lambda _, __, pose: Registration(Source.OTHER, pose * turned, covariance=covariance)
+    )
+    (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
+    assert (found.total.wrong, found.total.wrong_coarse) == (3, coarse)
 
 
 @pytest.mark.parametrize(
@@ -209,6 +225,16 @@ def test_a_method_that_raises_is_told_as_one_that_refuses(
     (found,) = (one for one in try_methods(target, trials=3) if one.name == "guess")
     assert (found.total.refused, found.works) == (3, False)
     assert found.reason.startswith("raised ZeroDivisionError")
+
+
+@pytest.mark.usefixtures("only_a_probe")
+def test_a_slow_method_is_tried_once_at_least_and_not_much_longer_than_allowed(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings = (Moment(9.0 * count, 0.0) for count in itertools.count())
+    monkeypatch.setattr(Clocks, "now", lambda _: next(readings))
+    (found,) = (one for one in try_methods(target) if one.name == "guess")
+    assert found.total.frames == 2  # before its third one more than 40 s have passed
 
 
 SIGNS = (1, -1)

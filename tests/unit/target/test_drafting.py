@@ -15,7 +15,7 @@ from rpod_target.drafting.draft import DraftOptions, draft
 from rpod_target.drafting.materials import proposed
 from rpod_target.mesh.files import FileMaterial
 from rpod_target.mesh.simplification import ENOUGH, simplified
-from rpod_target.symmetry import FoundSymmetry, find_symmetries
+from rpod_target.symmetry import FoundSymmetry, Likeness, find_symmetries
 
 OBJ = """mtllib colours.mtl
 o body
@@ -248,6 +248,42 @@ def test_the_origin_is_moved_to_where_the_axes_of_symmetry_meet(tmp_path: Path, 
         assert any("are not written" in text for text in made.told) == (origin == "file")
         for reason in ("the origin is the centre of area", "--origin file keeps the origin"):
             assert any(reason in text for text in made.told) == (origin == "auto")
+
+
+def test_a_turn_about_nearly_the_axis_of_an_exact_one_is_no_symmetry_of_its_own(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = trimesh.creation.icosphere(3)
+    body.vertices = body.vertices * [1.0, 0.8, 0.65]
+    body.export(tmp_path / "body.stl")
+    target = draft(tmp_path / "body.stl", tmp_path / "body.yaml", DraftOptions(units="m"), cache=cache).target
+    beside = np.array([np.cos(0.045), np.sin(0.045), 0.0])  # 2.6 deg, as of a moment's axis
+    monkeypatch.setattr(symmetry, "_candidates", lambda _: iter((np.eye(3)[0], beside)))
+    (found,) = find_symmetries(target)
+    assert found.exact
+    assert found.axis == (1.0, 0.0, 0.0)
+
+
+def test_what_is_left_over_far_away_is_told_and_does_not_count_for_the_assumed_mass(
+    tmp_path: Path, cache: Path
+) -> None:
+    left_over = trimesh.Trimesh([[30, 0, 0], [30.04, 0, 0], [30, 0.04, 0]], [[0, 1, 2]])
+    trimesh.util.concatenate([trimesh.creation.box((2.0, 1.0, 1.0)), left_over]).export(tmp_path / "sat.stl")
+    made = draft(tmp_path / "sat.stl", tmp_path / "sat.yaml", DraftOptions(units="m"), cache=cache)
+    assert any("within 2 x 1 x 1 m, but the whole file is 31" in text for text in made.told)
+    assert "no mass is given: 100 kg are assumed (--mass-kg)" in made.told
+
+
+def test_a_turn_that_some_sides_do_not_tell_is_written_with_the_remedy(cad: Path, cache: Path) -> None:
+    seen = Likeness("lidar", "30 returns", 46.7, 4, 1, 5.0)
+    around = FoundSymmetry(
+        (0.0, 0.0, 1.0), 12, False, 0.9, 0.0, (0.0, 0.0, 0.0), True, likeness=(seen,), mistaken=True
+    )
+    made = draft(
+        cad, cad.with_suffix(".yaml"), DraftOptions(units="m"), cache=cache, symmetries=lambda _: [around]
+    )
+    assert "# any turn: lidar mistakes it at 46.7 m from some sides" in made.file.read_text()
+    assert any("write exact: true to this symmetry" in text for text in made.told)
 
 
 def test_a_cube_has_all_its_thirteen_axes(tmp_path: Path, cache: Path) -> None:

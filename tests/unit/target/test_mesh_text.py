@@ -313,3 +313,41 @@ def test_materials_without_a_name_or_of_one_name_keep_their_colours(names: tuple
     assert len({material.name for material in mesh.materials}) == 2
     colours = {tuple(np.round(material.colour, 6)) for material in mesh.materials if material.colour}
     assert colours == {(1.0, 1.0, 0.0), (0.0, 0.0, 1.0)}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "hull.stl",
+            "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0,5 1\nendloop\nendfacet\nendsolid s\n",
+        ),
+        ("hull.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n-0,5\n"),
+        ("hull.off", "OFF\n3 1 0\n0,5 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"),
+    ],
+)
+def test_a_text_with_commas_as_decimal_marks_is_refused_with_the_remedy(
+    tmp_path: Path, name: str, text: str
+) -> None:
+    with pytest.raises(ValueError, match="commas as decimal marks: export it again with points"):
+        read(tmp_path, name, text.encode())
+
+
+def test_a_comma_in_an_obj_of_triangles_is_told_with_its_line(tmp_path: Path) -> None:
+    text = "# 1,234 corners\nv 0 0 0,5\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    with pytest.raises(ValueError, match="with points before the decimals; line 2 is 'v 0 0 0,5'"):
+        read(tmp_path, "hull.obj", text.encode())
+
+
+def test_an_obj_whose_corners_are_counted_from_zero_is_refused(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 2 1 0\n"
+    with pytest.raises(
+        ValueError, match=r"has a face with a corner that is not in the file.*; line 6 is 'f 2 1 0'"
+    ):
+        read(tmp_path, "hull.obj", text.encode())
+
+
+def test_coordinates_that_are_not_finite_are_counted_and_the_first_one_is_named(tmp_path: Path) -> None:
+    text = "o hull\n" + OBJ + "v nan 0 0\no antenna\nf 1 2 5\n"
+    with pytest.raises(ValueError, match=r"1 of its 5 triangles .* not finite, .* object 'antenna'"):
+        read(tmp_path, "hull.obj", text.encode())

@@ -139,6 +139,7 @@ def likeliest(
     px_m: float,
     radius_m: float,
     along_sight: Sequence[State] = (),
+    rivals: Callable[[State], Sequence[State]] = lambda _: (),
 ) -> Aligned:
     """Return the likeliest of several alignments, with the distances of the others in its spread.
 
@@ -151,6 +152,8 @@ def likeliest(
         px_m: motion across the line of sight that moves the target by a pixel, m.
         radius_m: radius of the target.
         along_sight: starts nearer and farther than the end of ``first``, which are tried first.
+        rivals: function that returns poses at which the target looks nearly the same as at the likeliest one.
+            They are less likely by the prediction, so that they count for the spread alone.
     """
     tried = [first, *(aligned_from(start) for start in along_sight)]
     losses = [loss(each) for each in tried]
@@ -167,6 +170,9 @@ def likeliest(
             best, least, since = tried[-1], losses[-1], 0
         elif moved_px(pose, tried[-1].fit.state.pose, radius_m, 1.0 / px_m) < RETURNED_PX:
             break
+    for start in rivals(best.fit.state):
+        tried.append(aligned_from(start))
+        losses.append(loss(tried[-1]))
     T_best, spread = pose_of(*best.fit.state.pose), best.spread.copy()
     for each, weight in zip(tried, softmax(-np.array(losses)), strict=True):
         away = step_between(T_best, pose_of(*each.fit.state.pose))

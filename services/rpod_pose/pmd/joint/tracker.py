@@ -44,6 +44,7 @@ from rpod_pose.pmd.joint.edge_lines import grouped
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_points import EdgeErrors, add_edge_points
 from rpod_pose.pmd.joint.expected_edges import EdgeSight, Sights
+from rpod_pose.pmd.joint.facets import facet_turns, turned_states
 from rpod_pose.pmd.joint.fit import DepthErrors, JointProblem, align, joint_shares, near_the_pose
 from rpod_pose.pmd.joint.frame import FINE_RAYS, JointFrame
 from rpod_pose.pmd.joint.image_shift import found_in_image
@@ -108,6 +109,7 @@ class JointTracker:
         reaches_px = np.geomspace(tuning.edges.search_px, tuning.edges.final_search_px, tuning.iterations)
         coarse = np.column_stack((scales_m, reaches_px))
         self._narrow = np.tile(coarse[-1], (tuning.near_iterations, 1))
+        self._facets = facet_turns(target)
         self._near = np.vstack((coarse[-tuning.near_iterations :], self._narrow))
         self._full = np.vstack((coarse, self._narrow))
         self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
@@ -202,6 +204,7 @@ class JointTracker:
         best = likeliest(
             aligned,
             along_sight=self._along_sight(seen, aligned.fit.state),
+            rivals=partial(turned_states, self._facets),
             loss=lambda each: self._loss(seen, each.fit.state, each.last),
             aligned_from=lambda start: self._aligned_by(seen, sights, start, schedule, errors),
             px_m=seen.away_m / focal_px,

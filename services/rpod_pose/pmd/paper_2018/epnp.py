@@ -175,7 +175,7 @@ class EpnpTracker:
             if len(points) < config.min_points:
                 return f"{len(points)} corners and circles found, {config.min_points} needed"
             if points.relief < config.min_relief:
-                return f"{len(points)} points lie in one plane, without the nose: the tilt is ambiguous"
+                return f"{len(points)} points lie nearly in one plane: the tilt is ambiguous"
             fit = pose_from_points(points, camera, iterations=config.polish_iterations)
             if fit is None:
                 return "EPnP found no pose in front of the camera"

@@ -276,6 +276,37 @@ def test_turns_of_a_nearly_round_body_are_found_or_called_undetermined():
     assert all("turn about the axis is undetermined" in reason for reason in doubtful)
 
 
+DRUM = """
+name: drum
+mass_kg: 100.0
+materials: {paint: {reflectivity: 0.5, diffuse: 0.4, f0: 0.02, roughness: 0.3}}
+parts:
+  - {name: drum, shape: prism, sides: 64, circumradius_m: 1.0, length_m: 1.0, material: paint}
+  - name: box
+    shape: box
+    size_m: [0.2, 0.4, 0.3]
+    material: paint
+    T_target_part: {translation_m: [1.1, 0.4, 0.0]}
+distance_field: {spacing_m: 0.05, margin_m: 0.5}
+symmetries: [{axis: [1.0, 0.0, 0.0], order: 12, continuous: true}]
+"""
+
+
+def test_facets_in_many_returns_do_not_tell_the_turn_of_a_round_body(tmp_path):
+    """The box that tells the turn is hidden, so that only the 64 facets are left."""
+    (tmp_path / "drum.yaml").write_text(DRUM)
+    target = load_target(tmp_path / "drum.yaml", cache=tmp_path)
+    T = make_pose(rotation=Rotation.from_euler("y", -50.0, degrees=True), translation_m=(0.0, 0.0, 5.0))
+    scan = scan_of(LidarEmulator(LIDAR, target, seed=5).scan([T], frame=1).points_m)
+    icp = ProjectiveIcp(ProjectiveIcpConfig(), target, ScanPattern.of(LIDAR.info()))
+    turned = T * make_pose(rotation=Rotation.from_euler("x", 6.0, degrees=True))
+    found = icp.track(scan, turned)
+    assert len(scan.returns_m) > 300
+    assert errors(T, found.T_sensor_target)[0] > 5.0  # one facet
+    assert np.degrees(worst_sigma(found.covariance[3:, 3:])) > 5.0
+    assert found.belief.level is BeliefLevel.DOUBTFUL
+
+
 def test_returns_from_the_edge_of_a_beam_do_not_pull_the_pose():
     """Beams of 3 mrad, 40 x 40 rays, mock-up at 5 m: three scans: with thin rays the mean NEES was 28."""
     assert np.mean([nees_of_wide_beams(seed) for seed in range(3)]) < 10.0

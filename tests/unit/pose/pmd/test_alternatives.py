@@ -1,10 +1,11 @@
 """The whole image decides which of several alignments is likeliest; the others are part of its errors."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 from tests.pmd_frames import CAMERA
 from tests.unit.pose.pmd.test_joint import FRAME, MOCKUP, TRACKER, TRUTH, assert_within, error, frame, off
 
@@ -25,6 +26,7 @@ from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.edge_model import EdgeModel
 from rpod_pose.pmd.joint.edge_search import Lens, Patch
 from rpod_pose.pmd.joint.expected_edges import expect_edges
+from rpod_pose.pmd.joint.facets import facet_turns
 from rpod_pose.pmd.joint.frame import JointFrame, moved_px
 from rpod_pose.pmd.joint.tracker import JointTracker
 from rpod_pose.ports import Registration
@@ -36,6 +38,17 @@ from rpod_schemas.poses import make_pose, pose_of
 from rpod_schemas.types import BeliefLevel, Source
 from rpod_target import load_target
 
+DRUM = """
+name: drum
+mass_kg: 100.0
+materials: {paint: {reflectivity: 0.5, diffuse: 0.4, f0: 0.02, roughness: 0.3}}
+parts:
+  - {name: drum, shape: prism, sides: 64, circumradius_m: 1.0, length_m: 1.0, material: paint}
+  - {name: box, shape: box, size_m: [2.4, 0.1, 0.1], material: paint}
+distance_field: {spacing_m: 0.1, margin_m: 0.2}
+model_points: 100
+symmetries: [{axis: [1.0, 0.0, 0.0], order: 12, continuous: true}]
+"""
 TUNING = JointConfig().tuning
 RENDERER = PatchRenderer(MOCKUP, TUNING.edges)
 
@@ -261,6 +274,37 @@ def test_the_search_around_a_pose_begins_at_the_likeliest_along_the_sight() -> N
     assert started[: len(moved)] == moved
     assert len(started) == len(moved) + PATIENCE
     assert best.fit.state is moved[1]
+
+
+@pytest.mark.parametrize(("loss_there", "share"), [(9.0, 0.5), (4.0, 1.0), (60.0, 0.0)])
+def test_a_rival_does_not_replace_the_likeliest_pose_but_counts_in_its_spread(
+    loss_there: float, share: float
+) -> None:
+    first, away_rad = aligned(TRUTH), np.radians(6.0)
+    (R, t), _ = first.fit.state
+    rival = State(PoseArrays(R @ Rotation.from_rotvec([0.0, 0.0, away_rad]).as_matrix(), t), 0.0)
+    best = likeliest(
+        first,
+        loss=lambda each: loss_there if each.fit.state is rival else 9.0,
+        aligned_from=lambda start: (
+            first._replace(fit=first.fit._replace(state=start)) if start is rival else first
+        ),
+        px_m=0.005,
+        radius_m=MOCKUP.radius_m,
+        rivals=lambda _: [rival],
+    )
+    assert best.fit is first.fit
+    among = np.exp(9.0 - loss_there) / (2.0 + np.exp(9.0 - loss_there))  # the pose itself is found twice
+    assert best.spread[5, 5] == pytest.approx(among * away_rad**2, abs=1e-12)
+    assert among == pytest.approx(share, abs=0.2)
+
+
+def test_facets_of_a_nearly_round_body_are_turned_onto_their_neighbours(tmp_path: Path) -> None:
+    (tmp_path / "drum.yaml").write_text(DRUM)
+    drum = load_target(tmp_path / "drum.yaml", cache=tmp_path)
+    turns = Rotation.from_matrix(facet_turns(drum)).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turns, np.outer((-5.625, 5.625, -11.25, 11.25), (1.0, 0.0, 0.0)), atol=1e-6)
+    assert facet_turns(MOCKUP).shape == (0, 3, 3)
 
 
 def test_starts_are_the_same_in_each_process() -> None:

