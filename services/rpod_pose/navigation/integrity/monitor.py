@@ -202,7 +202,7 @@ class Monitor:
             ]
             if len(there) == 2:
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
-        for offset in mount_offsets(estimate, self._limits):
+        for offset in mount_offsets(estimate, self._limits, self._filter.mount_sigma_m):
             cause = clock_of_mounts(offset, estimate)
             tests.append(
                 Statistic(offset.describe(), offset.excess(self._config), 6, cause + WRONG_ONE_UNKNOWN)
