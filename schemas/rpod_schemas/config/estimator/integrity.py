@@ -54,7 +54,7 @@ class IntegrityTuning(Tuning):
             "a minute is one look at two clocks: 60 looks an hour of 1e-4 are 0.006 false alerts an hour",
         ),
     ] = 1e-4
-    """Probability at which the test of the clocks of two sensors makes the state alert."""
+    """Probability at which the test of two clocks by the frames of a minute makes the state alert."""
     range_share: Annotated[
         Share,
         Provenance("physics", "drift of a time-of-flight clock and its temperature: 0.05 % of the range"),
