@@ -45,15 +45,19 @@ class Apart:
     """Covariance of the errors of the track and of the frame that last, shape (6, 6)."""
 
 
-def apart_of(step: Step, without: FilterState, config: FilterConfig) -> Apart | None:
+def apart_of(step: Step, without: FilterState, earlier: FilterState, config: FilterConfig) -> Apart | None:
     """Return how far a frame's pose is from the track without its sensor; None if it was refused.
 
     The error of this track lasts in part, and is new in part at each frame. So its covariance counts both in
     the noise of the frame and in what all frames share.
 
+    The motion is that of the track some time before. The errors of its pose and of its velocity at one time
+    agree, so that their product does not average out: with the motion of the same time, stamps look early.
+
     Args:
         step: the frame's measurement, and what the joint filter made of it.
         without: the filter without the frame's sensor, with no measurement that is newer than the frame.
+        earlier: the same filter, as long before as it is known.
         config: the filter's configuration.
     """
     predicted, found, measured = step.predicted, step.outcome, step.measurement
@@ -67,7 +71,8 @@ def apart_of(step: Step, without: FilterState, config: FilterConfig) -> Apart | 
     noise = predicted.alike.with_free_variance(
         shared.covariance + of_track, rotation_matrix(measured.T_chaser_target), 1.0
     )
-    moved = -np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
+    moving = predict(earlier, measured.stamp_ns, config)
+    moved = -np.concatenate([moving.velocity_m_s, moving.rate_rad_s])
     by = np.column_stack([moved, np.eye(6)])
     if not (np.isfinite(d).all() and np.isfinite(noise).all() and np.isfinite(lasting).all()):
         return None

@@ -66,10 +66,13 @@ class Memory:
             former[name] = (*kept, newest)
         return replace(self, without=without, former=former)
 
-    def former_at(self, sensor: str, stamp_ns: int) -> FilterState | None:
-        """Return the filter without a sensor as it was at a stamp; None if this is not known any more."""
-        before = (x for x in reversed(self.former.get(sensor, ())) if x.stamp_ns <= stamp_ns)
-        return next(before, None)
+    def former_at(self, sensor: str, stamp_ns: int) -> tuple[FilterState, FilterState] | None:
+        """Return the filter without a sensor as it was at a stamp, and as long before as it is known.
+
+        None if the filter at the stamp is not known any more.
+        """
+        before = [x for x in self.former.get(sensor, ()) if x.stamp_ns <= stamp_ns]
+        return (before[-1], before[0]) if before else None
 
     @property
     def slow(self) -> str:

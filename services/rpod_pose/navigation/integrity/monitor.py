@@ -130,7 +130,7 @@ class Monitor:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
         before = memory.former_at(sensor, measured.stamp_ns) if sensor == memory.slow else None
         if before is not None:
-            apart = apart_of(step, before, self._filter)
+            apart = apart_of(step, *before, self._filter)
             memory = memory.with_apart(sensor, apart, self._tuning.memory_s)
         alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
         without = self._without(memory, sensor, alone or predicted, predicted, measured)
