@@ -333,12 +333,9 @@ def test_a_slow_sensor_tells_the_clock_of_a_fast_one_by_all_its_scans(late_s, mo
         assert told[-1].attitude_level_deg < 0.5
     silent = [track.measure(0.2 * k, off=off, sigma=(0.002, np.deg2rad(0.05))) for k in range(50, 80)]
     assert abs(8.0 * late_s) < silent[-1].attitude_level_deg
-    if late_s < 0.0:  # an alert that nothing has answered since
-        assert told[-1].state is silent[-1].state is IntegrityState.ALERT
-        assert "stamps of pmd" in silent[-1].reason
 
 
-@pytest.mark.parametrize("late_s", [0.05, 0.0])
+@pytest.mark.parametrize("late_s", [0.06, 0.0])
 @pytest.mark.parametrize("delay", [0, 2])
 def test_the_noise_of_a_fast_sensors_track_is_no_clock_of_a_sharp_slow_one(delay, late_s, monkeypatch):
     """Each scan is sharper than the track of the camera, and may arrive after newer images."""
@@ -358,9 +355,13 @@ def test_the_noise_of_a_fast_sensors_track_is_no_clock_of_a_sharp_slow_one(delay
     offset_s, sigma_s = (
         told[-1].evidence[f"pmd_against_lidar_stamps_late_{name}s"] for name in ("", "sigma_")
     )
-    assert sigma_s < 0.01
+    assert sigma_s < 0.015
     assert offset_s == pytest.approx(late_s, abs=3.0 * sigma_s)
     assert (IntegrityState.ALERT in {each.state for each in told}) is bool(late_s)
+    for k in range(40, 70):  # the LIDAR is silent, and nothing has answered which of both is right
+        silent = track.measure(0.2 * k, off=off, sigma=(0.003, np.deg2rad(0.05)))
+    assert (silent.state is IntegrityState.ALERT) is bool(late_s)
+    assert ("stamps of pmd" in silent.reason) is bool(late_s)
 
 
 def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
