@@ -22,6 +22,7 @@ from rpod_pose.navigation.dynamics.slewing import TURNS, turns
 from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
+from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Methods
@@ -207,6 +208,10 @@ class Estimator:
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
+        output, moved_s = self._processed(arrived), arrived.clock_moved_s
+        return output.with_evidence(CLOCK_MOVED_S, moved_s) if moved_s else output
+
+    def _processed(self, arrived: Arrived) -> Output:
         self._take_resets()
         if arrived.measurement is None:
             return self._rejected(arrived, arrived.reason)

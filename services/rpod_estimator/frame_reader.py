@@ -65,6 +65,9 @@ class Arrived:
     """Possible cause, from the sensor's last frames, why they are refused; empty if there is none."""
     evidence: Mapping[str, float] = field(default_factory=dict)
     """In a replay: evidence in the status of this frame in the live run."""
+    clock_moved_s: float = 0.0
+    """Change of the sensor's stamps against their arrival, s, if the frame is refused for it, or is the first
+    one that is used in spite of it; else 0."""
 
     @property
     def is_frozen(self) -> bool:

@@ -11,6 +11,7 @@ from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.holders import LoggedHolders
 from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_pose.measurement import Tick
+from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_runtime import Received
 from rpod_runtime.assembler import Assembled
 from rpod_runtime.frames import PartRejectedError
@@ -168,8 +169,10 @@ class FramesAsLive(Frames):
     def _event(self, status: EstimatorStatus, frame: Assembled[Received] | None) -> Event | None:
         if not status.sensor:
             return Tick(status.stamp_ns)
+        moved_s = status.evidence.get(CLOCK_MOVED_S, 0.0)
         if status.reason.startswith(_BY_ARRIVAL):
-            return Arrived(status.sensor, status.stamp_ns, 0.0, None, status.reason)
+            return Arrived(status.sensor, status.stamp_ns, 0.0, None, status.reason, clock_moved_s=moved_s)
         if frame is None:
             return None
-        return replace(self._held_by_its_publishers(status.sensor, frame), evidence=status.evidence)
+        arrived = self._held_by_its_publishers(status.sensor, frame)
+        return replace(arrived, evidence=status.evidence, clock_moved_s=moved_s)

@@ -1,5 +1,6 @@
 """Kinds of faults, each with a sweep of sizes, and what a fault does to a measurement.
 
+``clock_behind`` is a clock that is set back during the sequence, ``clock_off`` one that was behind before it.
 Where the catalogue of sensor faults knows a kind (``frozen``, ``clock_behind``, ``mount_off``), it has the
 same name here. These faults act on a frame in the process, between the emulated sensor and the navigator.
 """
@@ -39,6 +40,7 @@ FAULTS = (
     Fault("wrong_scale", (1.0, 2.0, 3.0, 10.0), "%", lasting=True),
     Fault("mount_off", (0.1, 0.3, 1.0, 3.0), "deg", seen_by_one=False),
     Fault("clock_behind", (0.01, 0.05, 0.2), "s", seen_by_one=False),
+    Fault("clock_off", (0.05,), "s", lasting=True, seen_by_one=False),
     Fault("frozen", (0.5, 2.0), "s"),
     Fault("range_drift", (2.0, 10.0, 50.0), "mm/s", seen_by_one=False),
 )
@@ -106,7 +108,7 @@ class Injector:
         if self._fault == "mount_off":
             turn = make_pose(rotation=Rotation.from_rotvec([0.0, np.deg2rad(self._size), 0.0]))
             return replace(measurement, T_chaser_sensor=mount * turn)
-        if self._fault == "clock_behind":
+        if self._fault in ("clock_behind", "clock_off"):
             stamp_ns = data.stamp_ns - round(self._size * NANOSECONDS)
             return replace(measurement, data=data.model_copy(update={"stamp_ns": stamp_ns}))
         if self._fault == "frozen" and self._last is not None:

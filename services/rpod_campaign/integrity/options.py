@@ -28,7 +28,8 @@ class Options(CampaignOptions):
     """Sensors: a LIDAR at 1 Hz, a calibrated camera, or both, of which the camera has the fault
     in its middle size."""
     fault: Names = FAULT_NAMES
-    """Faults: none, half_turn, wrong_target, wrong_scale, mount_off, clock_behind, frozen, range_drift."""
+    """Faults: none, half_turn, wrong_target, wrong_scale, mount_off, clock_behind, clock_off, frozen,
+    range_drift."""
     rate: Positive = PMD_HZ
     """Rate of the camera, Hz."""
     world: Worlds = ("documented",)

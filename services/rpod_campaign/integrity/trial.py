@@ -21,6 +21,7 @@ from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.declared import DeclaredErrors
 from rpod_campaign.integrity.faults import Injector, TurnedTracker, model_of
 from rpod_campaign.lidar.methods import pattern_of
+from rpod_campaign.sequences.clocks import Clocks
 from rpod_campaign.sequences.course import EPOCH_S, Course, lidar_of
 from rpod_campaign.sequences.judged import Arrived, judged
 from rpod_campaign.sequences.settings import inputs_of, settings_of
@@ -73,6 +74,7 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
     settings = settings_of(cell)
     model = cached_target(model_of(cell.target, cell.fault, cell.size))
     injector = Injector(cell.fault, cell.size, start_s=cell.start_s)
+    clocks = Clocks(settings, seed, trial)
     declared = {
         name: DeclaredErrors.drawn(settings.integrity, seed=seed, trial=trial, sensor=name)
         for name in methods
@@ -86,7 +88,8 @@ def run(cell: IntegrityCell, seed: int, trial: int) -> list[dict[str, Any]]:
             is_turned = mine and cell.fault == "half_turn" and injector.is_active(time_s)
             truth = exact.T_chaser_sensor.inv() * course.truth(time_s) if is_turned else None
             turned[clean.sensor].truth = truth
-            yield Arrived(time_s, measurement, injector.repeats if mine else 0)
+            clock = clocks.checked(clean.sensor, measurement.stamp_ns, EPOCH_S + time_s)
+            yield Arrived(time_s, measurement, injector.repeats if mine else 0, clock)
 
     told = judged(settings, methods, model, arriving(), T_chaser_target=course.truth(0.0))
     return [

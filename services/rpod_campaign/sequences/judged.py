@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_campaign.sequences.clocks import ClockCheck
 from rpod_estimator.frame_reader import FROZEN_REPEATS
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
+from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_pose.navigation.navigator import Navigator
 from rpod_pose.navigation.state import NavigatorState, Output
 from rpod_pose.ports import Methods
@@ -28,6 +30,8 @@ class Arrived(NamedTuple):
     repeats: int = 0
     """Number of measurements in a row, up to this one, that equal the one before. The estimator refuses them
     before the navigator."""
+    clock: ClockCheck = ClockCheck()
+    """What its stamp and its arrival tell of its clock."""
 
 
 class Judged(NamedTuple):
@@ -69,20 +73,27 @@ def judged(
     monitor, memory = Monitor(settings), Memory()
     state = navigator.start(T_chaser_target)
     for each in arriving:
-        if each.repeats:
-            output = _refused(each.measurement, state)
+        step, moved_s = each.clock.step, each.clock.corrected_s
+        if step is not None:
+            output, moved_s = (
+                _refused(each.measurement, state, f"{Reason.CLOCK_STEP}: {step.text}"),
+                step.moved_s,
+            )
+        elif each.repeats:
+            output = _refused(each.measurement, state, Reason.FROZEN)
         else:
             state, output = navigator.step(state, each.measurement)
+        output = output.with_evidence(CLOCK_MOVED_S, moved_s) if moved_s else output
         memory, integrity = monitor.assess(memory, state, output, frozen=each.repeats >= FROZEN_REPEATS)
         yield Judged(each, state, output, integrity)
 
 
-def _refused(measurement: Measurement, state: NavigatorState) -> Output:
+def _refused(measurement: Measurement, state: NavigatorState, reason: str) -> Output:
     status = EstimatorStatus(
         stamp_ns=measurement.stamp_ns,
         frame_id=CHASER,
         mode=state.mode,
         sensor=measurement.sensor,
-        reason=Reason.FROZEN,
+        reason=reason,
     )
     return Output(status, None)

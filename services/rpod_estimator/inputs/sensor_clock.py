@@ -14,12 +14,21 @@ from rpod_runtime.sensor_data.drift_watch import DriftWatch
 from rpod_runtime.sensor_data.end_watch import EndWatch, Last
 from rpod_runtime.sensor_data.late_watch import LateWatch
 from rpod_runtime.sensor_data.stamp_watch import StampWatch
-from rpod_runtime.sensor_data.step_watch import StepWatch
+from rpod_runtime.sensor_data.step_watch import Step, StepWatch
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.sensor import SensorInput
 from rpod_schemas.errors import MessageRejectedError, Reason
 
 log = logging.getLogger(__name__)
+
+
+class ClockStepError(MessageRejectedError):
+    """A frame whose clock was set since the frames before."""
+
+    def __init__(self, step: Step) -> None:
+        super().__init__(Reason.CLOCK_STEP, step.text)
+        self.moved_s = step.moved_s
+        """Change of the stamps against their arrival, s."""
 
 
 class SensorClock:
@@ -38,6 +47,7 @@ class SensorClock:
             LateWatch(config.filter.max_delay_s),
             StepWatch(self._sigma_s, self._within_s),
         )
+        self._corrected_s = 0.0
 
     def note_arrival(self, leading: Received, stamp_ns: int) -> None:
         """Compare the stamp of a frame's leading part with its sending and arrival."""
@@ -58,16 +68,23 @@ class SensorClock:
             self._book.note("drift", drift.describe(self._sigma_s) if drift is not None else "")
 
     def check_step(self, leading: Received, stamp_ns: int) -> None:
-        """Check that the clock was not set since the previous frames. Raises ``MessageRejectedError``."""
+        """Check that the clock was not set since the previous frames. Raises ``ClockStepError``."""
         step = self._steps.add(stamp_ns, leading.arrival_ns, arrival_s=leading.arrival_s, source=leading.peer)
         if self._steps.ended:
             log.warning("%s: %s", self._name, self._steps.ended)
+        self._corrected_s = self._steps.corrected_s or self._corrected_s
         if step is not None:
-            raise MessageRejectedError(Reason.CLOCK_STEP, step.text)
+            raise ClockStepError(step)
+
+    def take_correction_s(self) -> float:
+        """Return by how much a clock has moved that is believed since the last call, s; 0 for none."""
+        corrected_s, self._corrected_s = self._corrected_s, 0.0
+        return corrected_s
 
     def accept_step(self) -> None:
         """Accept the clock as it is now."""
         self._steps.forget()
+        self._corrected_s = 0.0
 
     def note_end(self, last: Last, leading: Received, stamp_ns: int) -> None:
         """Compare the last measurement of a frame with its sending and arrival."""

@@ -7,6 +7,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any
@@ -17,7 +18,7 @@ from rpod_estimator.frame_reader import Arrived, FrameReader
 from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, WINDOW_S
 from rpod_estimator.inputs.health import InputHealth
 from rpod_estimator.inputs.published import Published
-from rpod_estimator.inputs.sensor_clock import SensorClock
+from rpod_estimator.inputs.sensor_clock import ClockStepError, SensorClock
 from rpod_pose.measurement import Measurement
 from rpod_runtime import BusClock, Inbox, Node, Received
 from rpod_runtime.assembler import Assembled, NewestFrames
@@ -228,7 +229,9 @@ class Subscriptions:
             if leads:
                 self._note_arrival(sensor, received, stamp_ns)
                 if len(self._refused) < _MOST_REFUSED:
-                    self._refused.append(Arrived.unusable(sensor, stamp_ns, error, received.arrival_s))
+                    refused = Arrived.unusable(sensor, stamp_ns, error, received.arrival_s)
+                    moved_s = error.moved_s if isinstance(error, ClockStepError) else 0.0
+                    self._refused.append(replace(refused, clock_moved_s=moved_s))
                 else:
                     self.health.drop(sensor, time.monotonic())
                 assembler.refuse(stamp_ns)
@@ -352,4 +355,5 @@ class Subscriptions:
         except PartRejectedError as error:
             self._node.reject(error.topic, error)
             return Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
-        return arrived
+        moved_s = self._clocks[sensor].take_correction_s()
+        return replace(arrived, clock_moved_s=moved_s) if moved_s else arrived

@@ -114,6 +114,8 @@ class StepWatch:
     within_s: float
     ended: str = ""
     """How the last suspicion ended, for the operator; set only at the frame with which it ended."""
+    corrected_s: float = 0.0
+    """Change of the stamps against the arrivals, s, that is believed since this frame; 0 at any other one."""
     _source: object = None
     _frames: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_MOST))
     _held: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_LEAST))
@@ -139,7 +141,7 @@ class StepWatch:
             return None  # sent again: it tells nothing about the clock
         if source != self._source or abs(frame.host_step_s(last)) > self._declared_s:
             self.forget()
-        self._source, self.ended = source, ""
+        self._source, self.ended, self.corrected_s = source, "", 0.0
         if len(self._frames) < _LEAST:
             self._frames.append(frame)
             return None
@@ -156,6 +158,7 @@ class StepWatch:
             f"its stamps have moved by {step.moved_s:+.3f} s and are steady again: its clock was corrected, "
             "or its exposure has changed; its frames are used"
         )
+        self.corrected_s = step.moved_s
         self._frames = deque(self._held, maxlen=_MOST)
         self._held.clear()
         return None

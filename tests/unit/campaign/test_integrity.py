@@ -16,9 +16,11 @@ from rpod_campaign.integrity.options import Options
 from rpod_campaign.integrity.report import poisson_interval, sections, share_bound, summarise
 from rpod_campaign.integrity.trial import SCHEMA
 from rpod_campaign.sequences.cells import document_of
+from rpod_campaign.sequences.clocks import Clocks
 from rpod_campaign.sequences.course import lidar_of
 from rpod_pose.measurement import Measurement
 from rpod_pose.ports import Registration
+from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import LidarScan, Source
@@ -87,6 +89,17 @@ def test_a_clock_behind_stamps_earlier_and_a_mount_off_turns_the_mount():
     assert measured("clock_behind", 0.05)[1].stamp_ns == SCAN.stamp_ns - 50_000_000
     mount = measured("mount_off", 1.0)[1].T_chaser_sensor
     assert np.rad2deg(mount.rotation.magnitude()) == pytest.approx(1.0)
+
+
+def test_a_clock_that_is_set_in_a_sequence_is_seen_by_arrivals_and_one_that_was_behind_before_is_not():
+    settings = EstimatorSettings(sensors=(PmdInput(),))
+    for start, refused in ((40, 9), (0, 0)):
+        clocks, found = Clocks(settings, 7, 0), []
+        for number in range(80):
+            stamp_ns = round((100.0 + number / 15.0 - (0.05 if number >= start else 0.0)) * 1e9)
+            found.append(clocks.checked("pmd", stamp_ns, 100.0 + number / 15.0))
+        assert sum(each.step is not None for each in found) == refused
+        assert [round(each.corrected_s, 2) for each in found if each.corrected_s] == [-0.05] * bool(refused)
 
 
 def test_a_frozen_stream_repeats_the_last_frame_under_new_stamps_for_its_time():

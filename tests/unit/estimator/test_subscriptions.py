@@ -1375,6 +1375,7 @@ def test_frames_of_a_clock_that_is_set_back_are_refused_from_the_first_one_on_un
     assert refused.measurement is None
     assert refused.refused == "clock_step"
     assert refused.reason.startswith("clock_step: its stamps have moved by -0.350 s against their arrival")
+    assert refused.clock_moved_s == pytest.approx(-0.35, abs=1e-3)
     bench.inputs.health.books["lidar"].lose(Loss(refused.refused, refused.reason), start_s + 3.0)
     level, message, _ = told(bench, start_s + 3.0)
     assert (level, "`reset` the estimator to accept the clock as it is" in message) == (Health.ERROR, True)
@@ -1382,6 +1383,21 @@ def test_frames_of_a_clock_that_is_set_back_are_refused_from_the_first_one_on_un
     assert scan(32, -0.35).measurement is None
     bench.inputs.request_reset(ResetRequest())
     assert [scan(number, -0.35).measurement is not None for number in range(36, 60)][-20:] == [True] * 20
+
+
+def test_the_first_frame_that_is_used_after_a_clock_has_moved_says_by_how_much():
+    bench, start_s = lidar_bench(), monotonic()
+    arrived = []
+    for number in range(45):
+        moved_s = -0.05 if number >= 30 else 0.0
+        due_ns = NOW_NS + number * SECOND_NS // 10
+        fields = {name: values + np.float32(1e-3 * number) for name, values in CLOUD.items()}
+        when = {"arrival_ns": due_ns + 10_000_000, "arrival_s": start_s + 0.1 * number}
+        bench.send_scan(due_ns + round(moved_s * SECOND_NS), fields, **when)
+        arrived += bench.arrived()
+    moved = [(number, each.measurement is None) for number, each in enumerate(arrived) if each.clock_moved_s]
+    assert moved == [*((number, True) for number in range(30, 39)), (39, False)]
+    assert [arrived[number].clock_moved_s for number, _ in moved] == pytest.approx([-0.05] * 10, abs=1e-3)
 
 
 def test_stamps_of_a_second_publisher_say_nothing_of_the_holders_clock(stage):

@@ -47,6 +47,14 @@ class IntegrityTuning(Tuning):
         Probability, Provenance("physics", "a probability: one in a thousand such tests fails by itself")
     ] = 1e-3
     """Probability at which a test makes the state caution."""
+    clock_risk: Annotated[
+        Probability,
+        Provenance(
+            "physics",
+            "a minute is one look at two clocks: 60 looks an hour of 1e-4 are 0.006 false alerts an hour",
+        ),
+    ] = 1e-4
+    """Probability at which the test of two clocks by the frames of a minute makes the state alert."""
     range_share: Annotated[
         Share,
         Provenance("physics", "drift of a time-of-flight clock and its temperature: 0.05 % of the range"),

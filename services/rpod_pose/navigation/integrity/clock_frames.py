@@ -8,9 +8,10 @@ without this sensor, is
 
 where tau is how late the scan's stamp is, (v, w) are velocity and rate, b are the errors that all scans share
 (those of the track, of the scans' own blocks, and the declared ones of both mounts, clocks and ranges), and n
-is the scan's own noise. The weighted least squares estimate of tau with the prior of b adds up the
-information of all scans. b does not average out: in a calm spin an angle of a mount is the same as a clock,
-and the standard deviation of tau stays above that angle over the rate, however many scans there are.
+is the scan's own noise and that of the track. The weighted least squares estimate of tau with the prior of b
+adds up the information of all scans. b does not average out: in a calm spin an angle of a mount is the same
+as a clock, and the standard deviation of tau stays above that angle over the rate, however many scans there
+are.
 """
 
 from collections.abc import Sequence
@@ -44,32 +45,34 @@ class Apart:
     """Covariance of the errors of the track and of the frame that last, shape (6, 6)."""
 
 
-def apart_of(step: Step, joint: FilterState, without: FilterState, config: FilterConfig) -> Apart | None:
+def apart_of(step: Step, without: FilterState, earlier: FilterState, config: FilterConfig) -> Apart | None:
     """Return how far a frame's pose is from the track without its sensor; None if it was refused.
 
-    Images that are newer than a scan may have been in both tracks already. So the pose is compared with the
-    prediction of the joint track to its own stamp, and both tracks with each other at the stamp of both.
+    The error of this track lasts in part, and is new in part at each frame. So its covariance counts both in
+    the noise of the frame and in what all frames share.
+
+    The motion is that of the track some time before. The errors of its pose and of its velocity at one time
+    agree, so that their product does not average out: with the motion of the same time, stamps look early.
 
     Args:
         step: the frame's measurement, and what the joint filter made of it.
-        joint: the joint filter after it, and after newer frames that had arrived before.
-        without: the filter without the frame's sensor.
+        without: the filter without the frame's sensor, with no measurement that is newer than the frame.
+        earlier: the same filter, as long before as it is known.
         config: the filter's configuration.
     """
     predicted, found, measured = step.predicted, step.outcome, step.measurement
     if not found.accepted:
         return None
-    newest_ns = max(joint.stamp_ns, without.stamp_ns)
-    joint, without = (predict(each, newest_ns, config) for each in (joint, without))
-    d = found.innovation.difference - separation_of(found.state, predicted) + separation_of(joint, without)
+    without = predict(without, measured.stamp_ns, config)
+    d = found.innovation.difference + separation_of(predicted, without)
     shared = shared_errors(measured, config, predicted.blocks)
-    lasting = without.covariance[POSE, POSE] + sum(
-        (by @ by.T for by in shared.sensitivities.values()), np.zeros((6, 6))
-    )
+    of_track = without.covariance[POSE, POSE]
+    lasting = of_track + sum((by @ by.T for by in shared.sensitivities.values()), np.zeros((6, 6)))
     noise = predicted.alike.with_free_variance(
-        shared.covariance, rotation_matrix(measured.T_chaser_target), 1.0
+        shared.covariance + of_track, rotation_matrix(measured.T_chaser_target), 1.0
     )
-    moved = -np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
+    moving = predict(earlier, measured.stamp_ns, config)
+    moved = -np.concatenate([moving.velocity_m_s, moving.rate_rad_s])
     by = np.column_stack([moved, np.eye(6)])
     if not (np.isfinite(d).all() and np.isfinite(noise).all() and np.isfinite(lasting).all()):
         return None
@@ -87,6 +90,8 @@ def clock_of_frames(
 ) -> tuple[Statistic, Late] | None:
     """Return the test of the clock by the frames of the slow sensor; None for a target that does not move.
 
+    What all frames share is no larger than in the frame whose track is known best.
+
     Args:
         pair: the two sensors.
         slow: that of them whose frames are given.
@@ -95,7 +100,9 @@ def clock_of_frames(
         config: declared errors, and the time within which frames count as one.
     """
     place_m, moving = estimate.T_chaser_target.translation, (estimate.velocity_m_s, estimate.rate_rad_s)
-    lasting = frames[-1].lasting + 2.0 * declared_covariance(config, place_m, *moving)
+    moved = np.concatenate(moving)
+    shared = min((each.lasting for each in frames), key=lambda lasting: float(moved @ lasting @ moved))
+    lasting = shared + 2.0 * declared_covariance(config, place_m, *moving)
     span_s = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
     counted = periods_of(len(frames), span_s, config.tuning.correlated_s) / len(frames)
     information = counted * np.sum([each.information for each in frames], axis=0)
@@ -108,7 +115,7 @@ def clock_of_frames(
     late = Late(offset_s if slow == pair.other else -offset_s, sigma_s)
     cause = f"; {late.describe(pair)}, or a mount is turned"
     name = f"{pair.one} and {pair.other} along the motion in {len(frames)} frames of {slow}"
-    return Statistic(name, (offset_s / sigma_s) ** 2, 1, cause), late
+    return Statistic(name, (offset_s / sigma_s) ** 2, 1, cause, config.tuning.clock_risk), late
 
 
 @dataclass(frozen=True, eq=False)

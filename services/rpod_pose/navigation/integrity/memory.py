@@ -12,6 +12,7 @@ from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.past import Past
 from rpod_pose.navigation.integrity.residuals import Residual, recent
 from rpod_pose.navigation.integrity.sizes import SizedFilters
+from rpod_pose.navigation.integrity.wrong_streams import WrongStreams
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
@@ -25,6 +26,8 @@ class Memory:
     """Residuals of each sensor in the window."""
     without: Mapping[str, FilterState] = field(default_factory=dict)
     """Filters without one of several sensors, by that sensor's name."""
+    former: Mapping[str, tuple[FilterState, ...]] = field(default_factory=dict)
+    """The same filters after each of the last measurements, oldest first."""
     apart: Mapping[str, tuple[Apart, ...]] = field(default_factory=dict)
     """Frames of the slower of two sensors, by its name, beside the track of the other."""
     clocks: TwoClocks | None = None
@@ -35,8 +38,8 @@ class Memory:
     """Where the estimate was before."""
     sensor: str = ""
     """Sensor whose measurement was accepted last."""
-    frozen_ns: Mapping[str, int] = field(default_factory=dict)
-    """Stamp of the newest frame of each sensor that sends identical frames."""
+    wrong: WrongStreams = field(default_factory=WrongStreams)
+    """Sensors whose stream is frozen, or whose clock was set."""
     frames: FrameEvidence = field(default_factory=FrameEvidence)
     """Evidence in the sensors' own frames that the model or a part of the data is wrong."""
     mounts: Mapping[str, RigidTransform] = field(default_factory=dict)
@@ -53,6 +56,23 @@ class Memory:
         """Return the filters without one of several sensors at a stamp, but those that are newer."""
         there = {name: each for name, each in self.without.items() if each.stamp_ns <= stamp_ns}
         return {name: predict(each, stamp_ns, config) for name, each in there.items()}
+
+    def with_filters(self, without: Mapping[str, FilterState], delay_s: float) -> "Memory":
+        """Return the memory with the filters without one sensor, and their states of the last time, s."""
+        former = {}
+        for name, newest in without.items():
+            oldest_ns = newest.stamp_ns - round(delay_s * NANOSECONDS)
+            kept = (x for x in self.former.get(name, ()) if oldest_ns <= x.stamp_ns < newest.stamp_ns)
+            former[name] = (*kept, newest)
+        return replace(self, without=without, former=former)
+
+    def former_at(self, sensor: str, stamp_ns: int) -> tuple[FilterState, FilterState] | None:
+        """Return the filter without a sensor as it was at a stamp, and as long before as it is known.
+
+        None if the filter at the stamp is not known any more.
+        """
+        before = [x for x in self.former.get(sensor, ()) if x.stamp_ns <= stamp_ns]
+        return (before[-1], before[0]) if before else None
 
     @property
     def slow(self) -> str:
@@ -71,10 +91,10 @@ class Memory:
         return replace(self, apart={sensor: tuple(sorted(kept, key=lambda each: each.stamp_ns))})
 
     def clocks_at(self, stamp_ns: int, memory_s: float) -> TwoClocks | None:
-        """Return what two sensors have told of their clocks within a time, s, without its tests."""
+        """Return what two sensors have told of their clocks within a time, s; None for nothing."""
         if self.clocks is None or stamp_ns - self.clocks.stamp_ns > memory_s * NANOSECONDS:
             return None
-        return replace(self.clocks, tests=())
+        return self.clocks
 
     def place_m(self, estimate: FilterState) -> FloatArray:
         """Return the target's position relative to the farthest sensor, chaser axes, shape (3,), m."""

@@ -41,7 +41,6 @@ from rpod_pose.navigation.integrity.residuals import (
 )
 from rpod_pose.navigation.integrity.sizes import SizedFilters, shifts_of, sized_after
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
-from rpod_pose.navigation.sensors.streams import is_recent
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -109,13 +108,8 @@ class Monitor:
 
     def _heard(self, memory: Memory, state: NavigatorState, output: Output, frozen: bool) -> Memory:
         """Return the memory with the frame of a step."""
-        status, now_ns = output.status, output.status.stamp_ns
-        frozen_ns = {
-            name: stamp_ns
-            for name, stamp_ns in memory.frozen_ns.items()
-            if name != status.sensor and is_recent(state.streams, name, stamp_ns, now_ns, self._silence_s)
-        }
-        memory = replace(memory, frozen_ns=frozen_ns | ({status.sensor: status.stamp_ns} if frozen else {}))
+        status, lasts = output.status, {"silence_s": self._silence_s, "memory_s": self._tuning.memory_s}
+        memory = replace(memory, wrong=memory.wrong.after(state, status, frozen=frozen, **lasts))
         if status.accepted:
             frames = memory.frames.after(
                 status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
@@ -129,21 +123,21 @@ class Monitor:
     def _measured(self, memory: Memory, state: NavigatorState, sensor: str, step: Step) -> Memory:
         """Return the memory with a measurement that the filter has compared with its prediction."""
         predicted, measured = step.predicted, step.measurement
-        assert state.history is not None  # noqa: S101 - it has the step
         if measured.origin is not None:
             memory = replace(memory, mounts={**memory.mounts, sensor: measured.origin.T_chaser_sensor})
         residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
         if residual is not None:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
-        if sensor == memory.slow and sensor in memory.without:
-            apart = apart_of(step, state.history.state, memory.without[sensor], self._filter)
+        before = memory.former_at(sensor, measured.stamp_ns) if sensor == memory.slow else None
+        if before is not None:
+            apart = apart_of(step, *before, self._filter)
             memory = memory.with_apart(sensor, apart, self._tuning.memory_s)
         alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
         without = self._without(memory, sensor, alone or predicted, predicted, measured)
         sized: SizedFilters = {}
         if len(memory.residuals) < 2:
             sized = sized_after(memory.sized, memory.frames.newest_sizes(sensor), step, self._filter)
-        return replace(memory, without=without, sized=sized)
+        return replace(memory.with_filters(without, self._filter.max_delay_s), sized=sized)
 
     def _without(
         self,
@@ -208,7 +202,7 @@ class Monitor:
             ]
             if len(there) == 2:
                 tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
-        for offset in mount_offsets(estimate, self._limits):
+        for offset in mount_offsets(estimate, self._limits, self._filter.mount_sigma_m):
             cause = clock_of_mounts(offset, estimate)
             tests.append(
                 Statistic(offset.describe(), offset.excess(self._config), 6, cause + WRONG_ONE_UNKNOWN)
@@ -343,8 +337,8 @@ class Monitor:
 
     def _alert(self, memory: Memory, estimate: FilterState, tests: list[Statistic]) -> str:
         """Return why the estimate must not be used; empty if nothing contradicts it."""
-        if memory.frozen_ns:
-            return f"{', '.join(sorted(memory.frozen_ns))}: frozen, its last frames are identical"
+        if wrong := memory.wrong.alert(estimate.stamp_ns):
+            return wrong
         failed = [test.describe(self._config.risk) for test in tests if test.exceeds_risk(self._config.risk)]
         if failed:
             return failed[0]

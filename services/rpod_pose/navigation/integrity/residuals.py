@@ -49,15 +49,19 @@ class Statistic:
     """Degrees of freedom."""
     cause: str = ""
     """Likely cause, for the operator."""
+    least_risk: float = 0.0
+    """Least probability at which it may fail by chance, of a test with few independent looks an hour."""
 
     def exceeds_risk(self, risk: float) -> bool:
         """Return whether the statistic is above the limit that it exceeds by chance with ``risk``."""
-        return not self.value <= chi2_limit(risk, self.dof)
+        return not self.value <= self._limit(risk)
 
     def describe(self, risk: float) -> str:
         """Return the test in words, with its figures."""
-        limit = chi2_limit(risk, self.dof)
-        return f"{self.name}: chi squared {self.value:.1f}, limit {limit:.1f}{self.cause}"
+        return f"{self.name}: chi squared {self.value:.1f}, limit {self._limit(risk):.1f}{self.cause}"
+
+    def _limit(self, risk: float) -> float:
+        return chi2_limit(max(risk, self.least_risk), self.dof)
 
 
 def separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:

@@ -14,6 +14,7 @@ from synthetic_log import EPOCH_NS, T_CHASER_SENSOR, Frame, SyntheticRun, approa
 from rpod.logs.replay import navigator_command
 from rpod_analysis import AnalysisError, open_log
 from rpod_analysis.replay import compare, configured_estimator, replay
+from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_pose.navigation.sensors.newcomers import TOO_OLD
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.config.estimator import EstimatorConfig, PmdInput
@@ -113,7 +114,8 @@ def test_as_live_takes_the_frames_that_the_live_run_took(run, tmp_path):
     """
 
     def frame(number, _time_s):
-        return Frame(reason={4: "late: 1.2 s old, limit 1 s", 6: TOO_OLD}.get(number, ""))
+        moved = {CLOCK_MOVED_S: -0.05} if number == 9 else {}
+        return Frame(reason={4: "late: 1.2 s old, limit 1 s", 6: TOO_OLD}.get(number, ""), evidence=moved)
 
     path = replace(run, frame=frame, skipped=lambda number: number % 3 == 2).write(tmp_path / "run.mcap")
     with open_log(path) as log:
@@ -125,6 +127,9 @@ def test_as_live_takes_the_frames_that_the_live_run_took(run, tmp_path):
     assert len(named) == 8
     assert [status.reason for status in statuses if not status.accepted] == ["late: 1.2 s old, limit 1 s"]
     assert (done.frames, done.missing) == (8, 0)
+    told = integrity_of(done.out)  # of a clock that had moved the live run knew by arrivals
+    assert [each.state == IntegrityState.ALERT for each in told] == [False] * 6 + [True] * 2
+    assert "the stamps of pmd have moved by -0.050 s" in told[-1].reason
 
 
 def test_frames_that_the_log_lost_are_counted(run, tmp_path):

@@ -28,6 +28,7 @@ from rpod_pose.navigation.integrity.monitor import (
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_pose.navigation.integrity.sizes import shifts_of, sized_after
+from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
 from rpod_pose.navigation.sensors.streams import Stream
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
@@ -104,16 +105,19 @@ class Track:
             self.state = replace(self.state, history=grown)
         return self.judge(stamp_ns, sensor=sensor, nis=nis, accepted=accepted, frozen=frozen)
 
-    def judge(self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False, cause=Cause.OTHER):
+    def judge(
+        self, stamp_ns, *, sensor, nis=float("nan"), accepted=True, frozen=False, cause=Cause.OTHER, **told
+    ):
         newest = self.state.history.state
         odometry = Odometry(
             stamp_ns=max(stamp_ns, newest.stamp_ns), frame_id="chaser", child_frame_id="target_estimate",
             pose=newest.T_chaser_target, linear_m_s=np.zeros(3), angular_rad_s=np.zeros(3),
             pose_covariance=newest.covariance[POSE, POSE],
         )  # fmt: skip
+        told = {"reason": "" if accepted else "too few pixels"} | told
         status = EstimatorStatus(
             stamp_ns=stamp_ns, frame_id="chaser", mode=self.state.mode, sensor=sensor, nis=nis,
-            accepted=accepted, reason="" if accepted else "too few pixels",
+            accepted=accepted, **told,
         )  # fmt: skip
         output = Output(status, odometry if self.state.mode is Mode.TRACKING else None, cause=cause)
         self.memory, integrity = self.monitor.assess(self.memory, self.state, output, frozen=frozen)
@@ -225,6 +229,31 @@ def test_a_frozen_sensor_that_is_switched_off_is_no_alert_for_the_others(track):
     assert "frozen" not in track.measure(8.6, sensor="lidar").reason
 
 
+def set_back(track, time_s, **how):
+    """Return the integrity after a frame whose clock was set back by 50 ms."""
+    stamp_ns = START_NS + round((time_s - 0.05) * SECOND_NS)
+    return track.judge(stamp_ns, sensor="pmd", evidence={CLOCK_MOVED_S: -0.05}, **how)
+
+
+def test_a_clock_that_was_set_is_an_alert_that_names_it_until_its_stamps_are_as_before(track):
+    follow(track, PMD_S)
+    told = set_back(track, 6.0, accepted=False, reason="clock_step: its stamps have moved")
+    assert told.state is IntegrityState.ALERT
+    assert told.reason.startswith("pmd: its stamps have moved by -0.050 s against their arrival")
+    assert track.measure(6.1).state is IntegrityState.NOMINAL
+
+
+def test_a_clock_whose_new_stamps_are_used_is_an_alert_for_a_minute(track):
+    follow(track, PMD_S)
+    set_back(track, 6.0, accepted=False, reason="clock_step: its stamps have moved")
+    assert set_back(track, 6.1).state is IntegrityState.ALERT
+    told = track.measure(8.0)
+    assert told.state is IntegrityState.ALERT
+    assert told.reason.startswith("2.1 s ago: the stamps of pmd have moved by -0.050 s")
+    assert "a reset ends this alert" in told.reason
+    assert "stamps of pmd" not in follow(track, np.arange(65.0, 68.0, 0.1))[-1].reason
+
+
 def test_two_sensors_that_differ_by_more_than_their_covariances_are_an_alert(track):
     follow(track, PMD_S)
     wrong = make_pose(rotation=Rotation.from_rotvec([0.0, np.deg2rad(1.0), 0.0]))
@@ -304,6 +333,37 @@ def test_a_slow_sensor_tells_the_clock_of_a_fast_one_by_all_its_scans(late_s, mo
         assert told[-1].attitude_level_deg < 0.5
     silent = [track.measure(0.2 * k, off=off, sigma=(0.002, np.deg2rad(0.05))) for k in range(50, 80)]
     assert abs(8.0 * late_s) < silent[-1].attitude_level_deg
+
+
+@pytest.mark.parametrize("late_s", [0.06, 0.0])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_the_noise_of_a_fast_sensors_track_is_no_clock_of_a_sharp_slow_one(delay, late_s, monkeypatch):
+    """Each scan is sharper than the track of the camera, and may arrive after newer images."""
+    monkeypatch.setitem(globals(), "truth", spin)
+    config = FilterConfig(
+        attitude_floor_deg=0.0, position_floor_m=0.0, tuning=FilterTuning(correlation_inflation=1.0),
+        acceleration_density_m2_s3=1e-3, angular_acceleration_density_rad2_s3=1e-6,
+    )  # fmt: skip
+    settings = EstimatorSettings(sensors=(PmdInput(), LidarInput()), filter=config)
+    track = Track(Monitor(settings), np.random.default_rng(7), config=config)
+    off, told = spin(0.0).inv() * spin(-late_s), []
+    for k in range(80):
+        told.append(track.measure(0.1 * k, off=off, sigma=(0.003, np.deg2rad(0.05))))
+        if k % 5 == delay and k > delay:
+            sharp = (0.0005, np.deg2rad(0.1))
+            told.append(track.measure(0.1 * (k - delay), sensor="lidar", sigma=sharp))
+    offset_s, sigma_s = (
+        told[-1].evidence[f"pmd_against_lidar_stamps_late_{name}s"] for name in ("", "sigma_")
+    )
+    assert sigma_s < 0.015
+    assert offset_s == pytest.approx(late_s, abs=3.0 * sigma_s)
+    assert (IntegrityState.ALERT in {each.state for each in told}) is bool(late_s)
+    if delay:
+        return
+    for k in range(40, 70):  # the LIDAR is silent, and nothing has answered which of both is right
+        silent = track.measure(0.2 * k, off=off, sigma=(0.003, np.deg2rad(0.05)))
+    assert (silent.state is IntegrityState.ALERT) is bool(late_s)
+    assert ("stamps of pmd" in silent.reason) is bool(late_s)
 
 
 def test_residuals_of_late_stamps_name_the_clock_and_its_offset():

@@ -134,10 +134,10 @@ def as_stated(pose: RigidTransform, error: FloatArray, mount: RigidTransform) ->
     return stated * mount.inv() * pose
 
 
-def followed(bias_m: float) -> tuple[FilterState, FloatArray]:
+def followed(bias_m: float, true_m: float = 0.0) -> tuple[FilterState, FloatArray]:
     """Return a state after 30 s of a LIDAR and a camera, and the error of the camera's stated mount.
 
-    The camera's distances may have a bias of a standard deviation.
+    The camera's distances may have a bias of a standard deviation, and have a true one.
     """
     rng = np.random.default_rng(4)
     error = np.concatenate([[0.012, -0.016, 0.0], np.radians([0.18, 0.0, 0.24])])
@@ -158,6 +158,9 @@ def followed(bias_m: float) -> tuple[FilterState, FloatArray]:
         stamp_ns, truth = round(stamp_s * SECOND_NS), target(stamp_s)
         for sensor, mount, off, parts in seen:
             pose = noisy(as_stated(truth, off, mount))
+            if sensor == "pmd":
+                longer_m = true_m * as_stated(mount, off, mount).rotation.as_matrix()[:, 2]
+                pose = make_pose(rotation=pose.rotation, translation_m=pose.translation + longer_m)
             # the stated mount is what the pose was computed with
             stated = as_stated(mount, off, mount)
             each = PoseMeasurement(stamp_ns, pose, diagonal(1e-3, 1e-3), Origin(sensor, stated, parts))
@@ -195,6 +198,24 @@ def test_a_mount_along_the_boresight_is_not_told_from_a_bias_of_depth():
     across = FRONT.rotation.as_matrix()[:, 0]
     assert np.sqrt(across @ offset.covariance[:3, :3] @ across) < 3e-3
     assert "with the bias of the distances of pmd, of which it cannot be told" in offset.describe()
+
+
+@pytest.mark.parametrize("true_m", [0.03, -0.05])
+def test_mount_and_bias_of_depth_along_the_boresight_are_reported_as_one(true_m: float):
+    state, error = followed(0.04, true_m)
+    (offset,) = mount_offsets(state, ["lidar", "pmd"], MOUNTS.mount_sigma_m)
+    boresight = FRONT.rotation.as_matrix()[:, 2]
+    assert offset.longer is not None
+    off_m = offset.longer.length_m - (true_m + boresight @ error[:3])
+    assert abs(off_m) < 3.0 * offset.longer.sigma_m
+    assert offset.longer.sigma_m < 2e-3
+    assert abs(boresight @ offset.error[:3] - offset.longer.length_m) > 0.3 * abs(true_m)
+    assert (
+        f"together they make those of pmd {1e3 * offset.longer.length_m:.0f} mm longer" in offset.describe()
+    )
+    evidence = offset.evidence
+    assert evidence["distances_of_pmd_longer_than_of_lidar_m"] == offset.longer.length_m
+    assert evidence["distances_of_pmd_longer_than_of_lidar_sigma_m"] == offset.longer.sigma_m
 
 
 def test_the_offset_between_two_mounts_is_found_with_its_sigma(tracked: tuple[FilterState, FloatArray]):
