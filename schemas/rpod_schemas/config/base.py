@@ -48,6 +48,14 @@ _FORMS = {
     "dict_type": _NAMED_FIELDS,
     "model_type": _NAMED_FIELDS,
     "model_attributes_type": _NAMED_FIELDS,
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
 }
 """Form that a field needs, by Pydantic's name of the error for any other form."""
 _OF_UNIONS = ("constrained-", "function-")

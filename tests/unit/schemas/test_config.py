@@ -49,6 +49,8 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
         ({"inner": {"rate_hz": 1}, "nmaes": []}, "nmaes", "not a known field"),
         ({}, "inner", "is missing"),
         ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "is -1; it must be greater than 0"),
+        ({"inner": {"rate_hz": "fast"}}, "inner.rate_hz", "is 'fast'; it must be a number"),
+        ({"inner": {"rate_hz": None}}, "inner.rate_hz", "is None; it must be a number"),
         ({"inner": {"rate": 1}}, "inner.rate", "did you mean rate_hz? (and 1 more: inner.rate_hz)"),
         ({"iner": {"rate_hz": 1}}, "iner", "did you mean inner?"),
         ({"inner": {"rate_hz": 1}, "names": "front"}, "names", "is 'front'; it must be a list"),
