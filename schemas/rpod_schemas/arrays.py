@@ -1,5 +1,6 @@
 """Checked array types for pydantic models: shape, kind and finiteness, never a copy."""
 
+import reprlib
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -17,23 +18,29 @@ def _checked(shape: tuple[int | None, ...], *, finite: bool) -> Callable[[Any], 
     def check(value: Any) -> FloatArray:
         try:
             array = np.asarray(value, dtype=np.float64)
-        except (TypeError, OverflowError) as error:  # as of a mapping; a validator must raise ValueError
-            raise ValueError("needs numbers") from error
+        except (TypeError, ValueError, OverflowError) as error:  # as of a mapping, a text, or lists of lists
+            raise ValueError(f"is {reprlib.repr(value)}; it needs {_needed(shape)}") from error
         fits = array.ndim == len(shape) and all(
             want is None or want == have for want, have in zip(shape, array.shape, strict=True)
         )
         if not fits:
             if array.ndim == len(shape) == 1:
                 raise ValueError(f"has {array.size} values; it needs {shape[0]}")
-            wanted = " x ".join("N" if size is None else str(size) for size in shape)
-            if array.ndim == 0:
-                raise ValueError(f"is one number; it needs {wanted} numbers, in brackets")
-            raise ValueError(f"has shape {array.shape}, needs {wanted}")
+            is_one = "is one number" if array.ndim == 0 else f"has shape {array.shape}"
+            raise ValueError(f"{is_one}; it needs {_needed(shape)}")
         if finite and not np.isfinite(array).all():
             raise ValueError("holds a value that is not finite")
         return array
 
     return check
+
+
+def _needed(shape: tuple[int | None, ...]) -> str:
+    """Return in words what an array of a shape holds."""
+    if shape == (None,):
+        return "a list of numbers, in brackets"
+    count = " x ".join("N" if size is None else str(size) for size in shape)
+    return f"{count} numbers, in brackets"
 
 
 def _array(*shape: int | None, finite: bool = True) -> Any:

@@ -180,7 +180,10 @@ def _pattern(bound: Bound) -> Any:
         DIRECTIONS.check(angles_rad.size)
         bound.check(angles_rad)
         if angles_rad.size > 1:
-            ANGLE_STEP_RAD.check(float(np.diff(np.sort(angles_rad)).min()))
+            try:
+                ANGLE_STEP_RAD.check(float(np.diff(np.sort(angles_rad)).min()))
+            except ValueError as error:
+                raise ValueError(f"the least step between two directions {error}") from error
         return angles_rad
 
     return AfterValidator(check)

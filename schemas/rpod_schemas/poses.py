@@ -3,6 +3,8 @@
 ``T_A_B`` maps coordinates in B into A. Angles are radians, lengths metres.
 """
 
+import math
+import reprlib
 from typing import Annotated, Any
 
 import numpy as np
@@ -92,11 +94,18 @@ def matrices_of(R: FloatArray, t_m: FloatArray) -> FloatArray:
     return matrices
 
 
+_OF_A_POSE = ("translation_m", "quaternion_xyzw", "euler_321_deg")
+"""Fields of a pose in a file."""
+
+
 def _checked_pose(value: Any) -> RigidTransform:
     if isinstance(value, RigidTransform):
         return value
-    if not isinstance(value, dict) or not set(value) <= {"translation_m", "quaternion_xyzw", "euler_321_deg"}:
-        raise ValueError("needs translation_m and quaternion_xyzw, or euler_321_deg (yaw, pitch, roll)")
+    needs = "needs translation_m, and quaternion_xyzw or euler_321_deg (yaw, pitch, roll)"
+    if not isinstance(value, dict):
+        raise ValueError(f"is {reprlib.repr(value)}; it {needs}")
+    if unknown := [name for name in value if name not in _OF_A_POSE]:
+        raise ValueError(f"has the unknown field {unknown[0]!r}; it {needs}")
     if "quaternion_xyzw" in value and "euler_321_deg" in value:
         raise ValueError("has both quaternion_xyzw and euler_321_deg; give one")
     translation = _numbers(value.get("translation_m", (0.0, 0.0, 0.0)), 3, "translation_m")
@@ -119,7 +128,7 @@ def _checked_rotation(value: dict[str, Any]) -> Rotation:
         angles = _numbers(value["euler_321_deg"], 3, "euler_321_deg", ": yaw, pitch, roll")
         return Rotation.from_euler("ZYX", angles, degrees=True)
     quaternion = _numbers(value.get("quaternion_xyzw", (0.0, 0.0, 0.0, 1.0)), 4, "quaternion_xyzw")
-    norm = float(np.linalg.norm(quaternion))
+    norm = math.hypot(*quaternion)  # of numbers beyond 1e154, too
     if not abs(norm - 1.0) < 1e-3:
         raise ValueError(
             f"quaternion_xyzw has the norm {norm:g}; it needs 1: x, y, z, w of a unit quaternion"

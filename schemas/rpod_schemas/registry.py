@@ -13,6 +13,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from rpod_schemas.errors import SchemaError
+from rpod_schemas.texts import shown
 
 SENSORS, METHODS, DRIVERS = "rpod.sensors", "rpod.methods", "rpod.drivers"
 """Entry point groups: sensor kinds by ``<kind>``, methods by ``<kind>.<method>``, drivers by their name."""
@@ -37,7 +38,7 @@ class UnknownNameError(SchemaError):
         guess = f" (did you mean {meant[0]!r}?)" if meant else ""
         listed = ", ".join(known) or "none (rpod itself provides some: install it again, as make setup does)"
         super().__init__(
-            f"no installed package provides {name!r}{guess} in {group}, known are {listed}; "
+            f"no installed package provides {shown(repr(name), 200)}{guess} in {group}, known are {listed}; "
             f"correct the name, or install a package that registers it under {group}"
         )
 

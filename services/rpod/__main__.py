@@ -79,10 +79,10 @@ def main() -> None:
         gc.freeze()  # else the interpreter examines all objects of all libraries at its end, for up to 0.7 s
 
 
-def _refuse(error: ConfigurationError) -> NoReturn:
-    """Print one line with the wrong field and the reason; exit."""
+def _refuse(verb: str, error: ConfigurationError) -> NoReturn:
+    """Print one line with the verb, the wrong field and the reason; exit."""
     told = str(error)
-    print(told if told.startswith("rpod ") else f"rpod: {told}", file=sys.stderr)
+    print(told if told.startswith("rpod ") else f"rpod {verb}: {told}", file=sys.stderr)
     raise typer.Exit(EXIT_USAGE)
 
 
@@ -152,7 +152,7 @@ def _serve(
             _check_required(model, changes or {}, verb)
         checked = read()
     except ConfigurationError as error:
-        _refuse(error)
+        _refuse(verb, error)
 
     def serve(stop: Event) -> None:
         try:
@@ -189,7 +189,7 @@ def router(
     try:
         checked = read()
     except ConfigurationError as error:
-        _refuse(error)
+        _refuse("router", error)
 
     def body(stop: Event) -> None:
         daemon.run(checked, stop=stop)

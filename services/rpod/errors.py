@@ -1,26 +1,13 @@
 """The errors of the command line and the supervisor, and how a verb reports an error."""
 
-import errno
 import sys
 from pathlib import Path
 
 from rpod_runtime.process.lifecycle import EXIT_FAILURE, EXIT_USAGE
 from rpod_schemas.errors import ConfigurationError, RpodError
+from rpod_schemas.texts import reason_of
 
 EXIT_INTERRUPTED = 130
-
-_REMEDIES = {
-    errno.ENOSPC: "free space on the disk, or give another folder",
-    errno.EDQUOT: "free space in the quota, or give another folder",
-    errno.EROFS: "give a folder in which you may write",
-    errno.EACCES: "give a path that you may use, or ask for the right to it",
-    errno.EPERM: "give a path that you may use, or ask for the right to it",
-    errno.EEXIST: "give another path: a file is in its place",
-    errno.ENOTDIR: "give another path: a part of it is a file, no folder",
-    errno.EISDIR: "give the path of a file: this is a folder",
-    errno.ENOENT: "check its spelling",
-}
-"""What to do after an error of the operating system, by its number."""
 
 
 class RunError(RpodError):
@@ -81,10 +68,7 @@ def told(error: Exception | str) -> str:
     """Return an error in one line; of the operating system as path, reason and remedy, without its number."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
-    remedy = _REMEDIES.get(error.errno or 0)
-    return ": ".join(str(each) for each in (error.filename, error.strerror.lower()) if each) + (
-        f"; {remedy}" if remedy else ""
-    )
+    return ": ".join(str(each) for each in (error.filename, reason_of(error)) if each)
 
 
 def failed(verb: str, reason: Exception | str, code: int | None = None) -> int:

@@ -54,13 +54,16 @@ def described(data: SensorFrame, *, radius_m: float, side_m: float = 0.0) -> str
 
 
 def _points_m(data: SensorFrame) -> NDArray[Any]:
-    """Return points, sensor axes, shape (N, 3), m; the distortion of a lens is ignored."""
+    """Return points, sensor axes, shape (N, 3), m; the distortion of a lens is ignored.
+
+    They have 64 bits: the square of a distance in a wrong unit may be too large or too small for 32.
+    """
     if data.lens is None:
-        returns: NDArray[Any] = data.returns_m
+        returns: NDArray[Any] = data.returns_m.astype(np.float64)
         return returns
     values, lens = data.images[0].values, data.lens
     rows, columns = np.nonzero(np.isfinite(values) & (values > 0.0))
-    depth_m = values[rows, columns]
+    depth_m = values[rows, columns].astype(np.float64)
     across = ((columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy)
     points: NDArray[Any] = np.stack([*(each * depth_m for each in across), depth_m], axis=1)
     return points
@@ -129,5 +132,5 @@ def _field(lens: Camera | None) -> str:
 
 
 def _form(length_m: float) -> str:
-    """Return the format in which a length has three digits and no power of ten."""
-    return ",.0f" if length_m >= 100.0 else ".3g"
+    """Return the format in which a length has three digits and, below a thousand km, no power of ten."""
+    return ",.0f" if 100.0 <= length_m < 1e6 else ".3g"

@@ -135,7 +135,9 @@ class FrameReader:
         kind = sensor_kind(sensor.kind)
         if kind.info is not None:
             self.latched += (kind.info.of(sensor.name),)
-        self._sensors[sensor.name] = _Sensor(sensor.source, kind, open_reader(kind, sensor.source))
+        reader = open_reader(kind, sensor.source)
+        reader.assume(sensor.configured_info)
+        self._sensors[sensor.name] = _Sensor(sensor.source, kind, reader)
         self.assemblers[sensor.name] = assembler_of(kind, sensor.source)
         self.leading[sensor.name] = kind.leading_part
         for name, topic in kind.part_topics(sensor.name, sensor.source).items():

@@ -4,18 +4,11 @@ import errno
 from pathlib import Path
 
 from rpod_runtime.errors import RefusedError
+from rpod_schemas.texts import remedy_of
 
-_REMEDIES = {
-    errno.ENOSPC: "free space on the disk",
-    errno.EDQUOT: "free space in the quota",
-    errno.EFBIG: "lower split_bytes or raise the limit of the file size",
-    errno.EROFS: "make the directory writable",
-    errno.EACCES: "make the directory writable",
-    errno.EPERM: "make the directory writable",
-    errno.EEXIST: "set directory to a folder, or move that file away",
-    errno.ENOTDIR: "set directory to a folder, or move that file away",
-}
 _REMEDY = "check the disk and its mount"
+_REMEDIES = {errno.EFBIG: "lower split_bytes or raise the limit of the file size", errno.ENOENT: _REMEDY}
+"""Remedies of a logger, in place of those that any program gives."""
 BY_QUERY = "use start to record again"
 BY_ITSELF = "the logger begins by itself"
 
@@ -52,7 +45,9 @@ class CannotWriteError(LoggerError):
         self, path: Path, error: Exception, *, closed: bool | None = None, again: str = BY_QUERY
     ) -> None:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        remedy = _REMEDIES.get(error.errno or 0, _REMEDY) if isinstance(error, OSError) else _REMEDY
+        remedy = _REMEDY
+        if isinstance(error, OSError):
+            remedy = _REMEDIES.get(error.errno or 0) or remedy_of(error, "set another directory") or remedy
         became = {
             True: "; the file is closed and readable",
             False: "; the file could not be closed: 'rpod recover' makes it readable",

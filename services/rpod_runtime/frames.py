@@ -49,6 +49,13 @@ class SensorReader(Protocol):
         """Fault in the newest frames that may be why they are refused; empty if there is none."""
         return ""
 
+    def assume(self, info: Any) -> None:
+        """Store the info that the configuration states; it counts until the sensor publishes its own.
+
+        Args:
+            info: ``configured_info`` of the sensor's configuration; None if it states none.
+        """
+
     def learn(self, message: Any) -> None:
         """Store the sensor's info, a decoded message. Raises ``MessageRejectedError``."""
         ...

@@ -7,6 +7,7 @@ import re
 import reprlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from rpod_schemas.errors import ConfigurationError
 from rpod_target import cache as store
 from rpod_target.equivalence import Equivalence, Symmetry
 from rpod_target.errors import TargetError
-from rpod_target.mesh.files import MeshFile
+from rpod_target.mesh.files import FORMATS, MeshFile
 from rpod_target.mesh.folder import read_files
 from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.parameters import MeshParameters, PartParameters, PrismParameters, TargetParameters
@@ -198,9 +199,14 @@ def _parameter_file(name_or_path: str | Path) -> Path:
     if path.suffix or len(path.parts) > 1:
         if path.exists() and not path.is_file():  # a log may name a device or a pipe, which has no end
             raise TargetError(path, "", "is no file; give the path of a target's YAML file")
+        if path.suffix.lower() in FORMATS:
+            remedy = f"'rpod target new {path}' writes one, whose path you give"
+            raise TargetError(path, "", f"is a CAD file, needs a target's parameter file; {remedy}")
         return path
     if str(name_or_path) not in shipped_targets():
-        reason = f"is unknown; known are {', '.join(shipped_targets())}, or the path of a file"
+        meant = get_close_matches(str(name_or_path), shipped_targets(), n=1)
+        guess = f" (did you mean {meant[0]}?)" if meant else ""
+        reason = f"is unknown{guess}; known are {', '.join(shipped_targets())}, or the path of a file"
         raise TargetError(f"target {str(name_or_path)!r}", "", reason)
     return _SHIPPED / f"{name_or_path}.yaml"
 

@@ -71,7 +71,7 @@ def test_a_wrong_field_is_named_with_its_file_and_the_reason(tmp_path, verb, cha
     refused = CliRunner().invoke(app, [verb, "--config", str(file)])
     assert (refused.exit_code, refused.stdout) == (2, "")
     (line,) = refused.stderr.splitlines()
-    assert line.startswith(f"rpod: {file}: {field}: ")
+    assert line.startswith(f"rpod {verb}: {file}: {field}: ")
     assert reason in line
 
 

@@ -238,7 +238,7 @@ def test_a_logger_that_cannot_write_lives_on_says_so_and_is_started_by_query(bus
         started = node.ask("logger", "start", LogReply)
         clock.publish(write_clock(2))
         status_with(node, **{"written/clock": 1})
-    assert "set directory to a folder, or move that file away, then the logger begins by itself" in said
+    assert "move it away, or set another directory, then the logger begins by itself" in said
     assert sequences(Path(started.path), "/clock") == [2]
 
 

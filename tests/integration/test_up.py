@@ -164,8 +164,11 @@ def test_a_logger_that_cannot_write_is_failing_and_says_why_and_what_to_do(up, t
     )
     failing = facility.service("logger", "failing")
     assert f"cannot write {folder}/rpod-" in failing["message"]
-    assert "File exists; set directory to a folder, or move that file away" in failing["message"]
-    facility.said.wait_for(r"logger: cannot write .*set directory to a folder")
+    assert (
+        "File exists; a file is in the place of a folder: move it away, or set another directory"
+        in failing["message"]
+    )
+    facility.said.wait_for(r"logger: cannot write .*set another directory")
     assert facility.ask("ps")[0] == 1
     folder.unlink()
     at_work = facility.service("logger")

@@ -63,12 +63,13 @@ def test_an_error_names_its_verb_once(capsys):
     [
         (
             OSError(errno.EROFS, "Read-only file system", "runs"),
-            "runs: read-only file system; give a folder in which you may write",
+            "runs: read-only file system; make the folder writable, or give another path",
         ),
         (
             OSError(errno.ENOSPC, "No space left on device", "runs/a"),
-            "runs/a: no space left on device; free space on the disk, or give another folder",
+            "runs/a: no space left on device; free space on the disk, or give another path",
         ),
+        (OSError(errno.EISDIR, "Is a directory"), "is a directory; it is a folder: give the path of a file"),
         (OSError(errno.EIO, "Input/output error"), "input/output error"),
         (OSError("the device is busy"), "the device is busy"),
     ],
@@ -83,7 +84,7 @@ def test_a_folder_in_which_a_run_cannot_write_is_told_by_its_option(tmp_path):
     done = CliRunner().invoke(app, ["run", "mockup-oblique", "--out", str(tmp_path / "notes.txt")])
     assert done.exit_code == 1
     assert done.stderr.startswith(f"rpod run: --out: {tmp_path}/notes.txt/mockup-oblique-")
-    assert done.stderr.endswith("not a directory; give another path: a part of it is a file, no folder\n")
+    assert done.stderr.endswith("move it away, or give another path\n")
 
 
 def test_a_process_that_compiled_code_ends_tells_the_call():

@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.strict_yaml import read_yaml
+from rpod_schemas.texts import shown
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -48,12 +49,22 @@ _FORMS = {
     "dict_type": _NAMED_FIELDS,
     "model_type": _NAMED_FIELDS,
     "model_attributes_type": _NAMED_FIELDS,
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
 }
 """Form that a field needs, by Pydantic's name of the error for any other form."""
 _OF_UNIONS = ("constrained-", "function-")
 """Beginnings of Pydantic's names for types in a place that are no fields."""
 _UNKNOWN = "extra_forbidden"
 """Pydantic's name of the error that a field is not known."""
+_LONGEST_QUOTED = 200
+"""Length of a wrong text in an error."""
 _MOST_NAMED = 3
 """Number of further wrong fields that an error names."""
 
@@ -220,7 +231,7 @@ def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str
     elif problem["type"] == "union_tag_invalid":
         reason = f"{given['discriminator']} is {given['tag']!r}; it must be one of {given['expected_tags']}"
     elif problem["type"] == "string_pattern_mismatch":
-        reason = f"is {value!r}; {_PATTERNS.get(given.get('pattern', ''), reason)}"
+        reason = f"is {_quoted(value)}; {_PATTERNS.get(given.get('pattern', ''), reason)}"
     elif problem["type"] in _FORMS:
         reason = f"is {reprlib.repr(value)}; it must be {_FORMS[problem['type']]}"
     elif problem["type"] == "too_short":
@@ -228,6 +239,11 @@ def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str
     elif should:
         reason = f"is {reprlib.repr(value)}; it must {needs}"
     return reason.removeprefix("Value error, ")
+
+
+def _quoted(value: Any) -> str:
+    """Return a text in quotes, shortened if it is longer than any name, topic or endpoint."""
+    return shown(repr(value), _LONGEST_QUOTED)
 
 
 def _unknown(model: type[BaseModel], document: Any, location: Sequence[int | str]) -> str:

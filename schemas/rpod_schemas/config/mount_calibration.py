@@ -1,5 +1,6 @@
 """Mount of a sensor, as ``rpod calibrate mount`` finds it; drivers and the estimator take its file."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -61,7 +62,7 @@ def _read(value: Any) -> Any:
 
 
 def _near(pose: RigidTransform) -> RigidTransform:
-    _REACH_M.check(float(np.linalg.norm(pose.translation)))
+    _REACH_M.check(math.hypot(*pose.translation))  # of numbers beyond 1e154, too
     return pose
 
 

@@ -21,6 +21,7 @@ from rpod_schemas.config.mount_calibration import Mount, MountPose
 from rpod_schemas.config.source import Source, SourceConfig
 from rpod_schemas.errors import SchemaError
 from rpod_schemas.poses import Pose, make_pose
+from rpod_schemas.types import SensorInfo
 
 
 class Kinded(Config):
@@ -125,6 +126,11 @@ class SensorInput(Kinded):
     def range_offset_sigma_m(self) -> float:
         """Standard deviation of the offset that all distances of the sensor may share, m."""
         return RANGE_OFFSET_SIGMA_M
+
+    @property
+    def configured_info(self) -> SensorInfo | None:
+        """Info of the sensor, as far as this configuration states it; None if it states none."""
+        return None
 
     def informed_by(self, emulated: EmulatedSensor) -> Self:  # noqa: ARG002 - what a kind may want to know
         """Return this input with the data that the sensor will publish of itself."""

@@ -2,7 +2,7 @@
 
 from rpod_schemas.config.sensor import MethodConfig, Registered
 from rpod_schemas.errors import SchemaError
-from rpod_schemas.registry import SENSORS, names
+from rpod_schemas.registry import METHODS, SENSORS, UnknownNameError, names
 from rpod_schemas.sensors import Role, method, methods, sensor_kind
 
 
@@ -32,6 +32,8 @@ def chosen(sensor: str, role: Role, *, default: str = "") -> Registered:
         return tuple(each.name for each in methods(sensor, role))
 
     def model_of(name: str) -> type[MethodConfig]:
+        if f"{sensor}.{name}" not in names(METHODS):
+            raise UnknownNameError(METHODS, name, known())
         found = method(sensor, name)
         if found.role != role:
             raise WrongRoleError(name, role, known())

@@ -122,7 +122,9 @@ def _options(name: str, model: type[Options], given: Mapping[str, Any]) -> Optio
         option = error.field.split(".")[0]
         if option not in given:  # of several options together
             raise ConfigurationError(f"rpod campaign {name}", "", error.reason) from error
-        raise ConfigurationError(_flag(option), "", f"{error.reason} ({given[option]!r})") from error
+        value = repr(given[option])
+        reason = error.reason if value in error.reason else f"{error.reason} ({value})"
+        raise ConfigurationError(_flag(option), "", reason) from error
 
 
 def _flag(option: str) -> str:

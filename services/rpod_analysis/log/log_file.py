@@ -21,6 +21,7 @@ from rpod_analysis.log import limits
 from rpod_analysis.log.chunks import content
 from rpod_schemas.logs import SCHEMA_ENCODING
 from rpod_schemas.rmw.cdr import learn
+from rpod_schemas.texts import reason_of
 
 SUFFIX, RECOVERED, REPLAY = ".mcap", ".recovered", ".replay"
 """Suffix of logs, and of the files that recovery and replay write beside ``run.mcap``:
@@ -54,7 +55,7 @@ def files_of(path: Path) -> list[Path]:
             return [path]
         files = sorted(path.glob(f"*{SUFFIX}"))
     except OSError as error:
-        raise NoLogError(path, (error.strerror or str(error)).lower()) from error
+        raise NoLogError(path, reason_of(error)) from error
     files = [
         file for file in files if not file.stem.endswith(REPLAY) and beside(file, RECOVERED) not in files
     ]
@@ -162,7 +163,7 @@ def open_file(path: Path, stack: ExitStack) -> LogFile:
         stream = stack.enter_context(path.open("rb"))
         _check_ends(path, stream)
     except OSError as error:
-        raise NoLogError(path, (error.strerror or str(error)).lower()) from error
+        raise NoLogError(path, reason_of(error)) from error
     checked = _CheckedFile(path, stream)
     with reading(path):
         reader = make_reader(cast("IO[bytes]", checked), validate_crcs=True)

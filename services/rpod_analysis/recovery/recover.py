@@ -25,6 +25,7 @@ from rpod_analysis.errors import CannotWriteError, NoLogError, NothingRecoveredE
 from rpod_analysis.log.log_file import RECOVERED, beside, summary_is_whole
 from rpod_analysis.recovery.salvage import DAMAGE, DamagedChunk, Found, Gap, is_mcap, scan
 from rpod_schemas.logs import PROFILE, RECOVERY, RecoveredTopic, Recovery
+from rpod_schemas.texts import reason_of
 
 
 def recover(source: Path, out: Path | None = None) -> Recovery:
@@ -45,7 +46,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
         stream = source.open("rb")
         size = stream.seek(0, 2)
     except OSError as error:
-        raise NoLogError(source, (error.strerror or str(error)).lower()) from error
+        raise NoLogError(source, reason_of(error)) from error
     with stream:
         try:
             with target.open("xb") as written:
@@ -54,7 +55,7 @@ def recover(source: Path, out: Path | None = None) -> Recovery:
             raise CannotWriteError(target, "already exists; give another name with --out") from error
         except OSError as error:
             target.unlink(missing_ok=True)
-            raise CannotWriteError(target, (error.strerror or str(error)).lower()) from error
+            raise CannotWriteError(target, reason_of(error)) from error
         except BaseException:  # also Ctrl-C: a part of a log would take the log's place
             target.unlink(missing_ok=True)
             raise

@@ -31,6 +31,7 @@ from rpod_pose.navigation.state import Output
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.migration import check_logged
 from rpod_schemas.rmw.cdr import NANOSECONDS
+from rpod_schemas.texts import reason_of
 from rpod_schemas.topics import (
     CONTRADICTION,
     ESTIMATES,
@@ -144,7 +145,7 @@ def replay(
             if not feed.processing_s:
                 raise NothingReplayedError(log.paths[0], as_live=as_live)
     except OSError as error:
-        raise CannotWriteError(new, (error.strerror or str(error)).lower()) from error
+        raise CannotWriteError(new, reason_of(error)) from error
     return Replayed(
         out=new,
         replaced=replaced,

@@ -1,6 +1,7 @@
 """The LIDAR's methods under their names in the registry, and their creation for a scan pattern."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,12 +51,15 @@ def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Trac
 
 
 def known_pattern(sensor: LidarInput, info: LidarInfo | None) -> ScanPattern | None:
-    """Return the scan pattern that the LIDAR published, or the configured one; None if neither is known."""
-    if info is not None:
-        return ScanPattern.of(info)
-    if sensor.azimuth_rad is None or sensor.elevation_rad is None:
+    """Return the scan pattern of a LIDAR's info, or the configured one; None if neither is known.
+
+    An info that does not state the range noise, such as one that was inferred, has the configured noise.
+    """
+    stated = info or sensor.configured_info
+    if stated is None:
         return None
-    return ScanPattern(sensor.azimuth_rad, sensor.elevation_rad, sigma_range_m=sensor.sigma_range_m or 0.0)
+    pattern = ScanPattern.of(stated)
+    return replace(pattern, sigma_range_m=pattern.sigma_range_m or sensor.sigma_range_m or 0.0)
 
 
 def make_tracker(task: Task) -> Tracker[LidarScan]:

@@ -34,7 +34,8 @@ class LidarReader(SensorReader):
 
     def __init__(self, source: SourceConfig = ICD) -> None:
         self._source = source
-        self._info: LidarInfo | None = None
+        self._published: LidarInfo | None = None
+        self._configured: LidarInfo | None = None
         self._inferred = GridInference()
         self._whole: LidarInfo | None = None
         self._front: LidarInfo | None = None
@@ -56,7 +57,7 @@ class LidarReader(SensorReader):
 
     @property
     def newest_info(self) -> LidarInfo | None:
-        """Info that the LIDAR published, else the scan pattern that its points show; only the part ahead."""
+        """Scan pattern, only the part ahead: published, else configured, else as the points show it."""
         pattern = self._info or self._inferred.pattern
         if pattern is not self._whole:
             self._whole, self._front = pattern, None if pattern is None else ahead(pattern)
@@ -64,14 +65,28 @@ class LidarReader(SensorReader):
 
     @property
     def stated_info(self) -> LidarInfo | None:
-        """Info that the LIDAR published; None if the pattern is inferred, which changes as more is seen."""
-        return None if self._info is None else self.newest_info
+        """Info that the LIDAR published; None if it published none. An inferred pattern may change."""
+        return None if self._published is None else self.newest_info
+
+    @property
+    def _info(self) -> LidarInfo | None:
+        """Scan pattern that is stated, by the LIDAR or else by the configuration."""
+        return self._published or self._configured
+
+    @property
+    def _origin(self) -> str:
+        """What states the scan pattern."""
+        return "the configuration" if self._published is None else "the info"
+
+    def assume(self, info: LidarInfo | None) -> None:
+        """Store the configured scan pattern."""
+        self._configured = info
 
     def learn(self, message: Any) -> None:
         """Store the latched info, if it holds a scan pattern."""
         info = read_lidar_info(message)
         if info.azimuth_rad.size and info.elevation_rad.size:
-            self._info = info
+            self._published = info
             self._inconsistencies.clear()
             self._compared = 0
 
@@ -130,9 +145,9 @@ class LidarReader(SensorReader):
         if aside_rad := self._inferred.aside_rad:
             self._note(
                 "rows",
-                f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of the info, so that "
-                "a missing return counts for the wrong ray; let the driver destagger its rows and give "
-                "points in the sensor's own axes, or publish no info",
+                f"rows are up to {np.degrees(aside_rad):.1f} deg beside the columns of {self._origin}, so "
+                "that a missing return counts for the wrong ray; let the driver destagger its rows and give "
+                "points in the sensor's own axes, or state no pattern, which is then inferred",
             )
         return points_m, others
 
@@ -145,8 +160,8 @@ class LidarReader(SensorReader):
         if (rows, columns) != stated:
             self._note(
                 "size",
-                f"scans have {rows} x {columns} points, elevations by azimuths, the info states "
-                f"{stated[0]} x {stated[1]}; let the driver publish the info of its scan mode",
+                f"scans have {rows} x {columns} points, elevations by azimuths, {self._origin} states "
+                f"{stated[0]} x {stated[1]}; state the pattern of the driver's scan mode",
             )
         elif self._compared < _SETTLED:
             found = compared_directions(points_m, self._info)
@@ -154,8 +169,8 @@ class LidarReader(SensorReader):
             for name in (each.name for each in found if each.slope < 0.0):
                 self._note(
                     name,
-                    f"{name}_rad of the info runs the other way than the points, so that no pose fits: let "
-                    f"the driver turn its sign; {SIGNS}",
+                    f"{name}_rad of {self._origin} runs the other way than the points, so that no pose fits: "
+                    f"turn its sign; {SIGNS}",
                 )
 
     def _rows_are_elevation(self, points_m: Float32Array) -> bool:

@@ -19,7 +19,8 @@ from rpod_campaign.catalogue import BUILT_IN, RENAMED, find, names, options_of
         ("population", {"target": "hubble"}, "--target: "),
         ("population", {"population": "mine"}, "--population: "),
         ("lidar-acquisition", {"steps": "1"}, "--steps: "),
-        ("lidar-acquisition", {"trials": "0"}, "--trials: "),
+        ("lidar-acquisition", {"trials": "0"}, "--trials: is '0'; it must be greater than 0\n"),
+        ("lidar-acquisition", {"trials": "abc"}, "--trials: is 'abc'; it must be a whole number\n"),
         ("lidar-acquisition", {"seed": "-1"}, "--seed: "),
         ("lidar-acquisition", {"eq4": "mine"}, "--eq4: "),
         ("lidar-acquisition", {"method": "magic"}, "--method: needs template-matching"),
@@ -32,7 +33,7 @@ def test_a_wrong_value_is_one_line_that_names_the_option(name, options, says, tm
     assert campaign_command(name, options=options, jobs=1, out=tmp_path, as_json=True) == 2
     said = capsys.readouterr()
     assert not said.out
-    (line,) = said.err.splitlines()
+    (line,) = said.err.splitlines(keepends=True)
     assert line.startswith(f"rpod campaign: {says}")
     assert not list(tmp_path.iterdir())
 

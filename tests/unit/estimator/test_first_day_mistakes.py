@@ -94,7 +94,7 @@ def test_angles_exchanged_in_the_points_are_told():
 def test_points_in_the_robots_frame_lie_beside_the_info_and_are_told():
     mount = make_pose(rotation=Rotation.from_euler("ZYX", [10.0, -5.0, 3.0], degrees=True))
     moved = mount.apply(sphere().reshape(-1, 3).astype(float)).reshape(sphere().shape)
-    assert "in the sensor's own axes, or publish no info" in doubt_of(moved.astype(np.float32), info())
+    assert "in the sensor's own axes, or state no pattern" in doubt_of(moved.astype(np.float32), info())
 
 
 @pytest.mark.parametrize("axis", ["azimuth_rad", "elevation_rad"])

@@ -83,3 +83,13 @@ def test_a_unit_that_is_off_by_a_factor_of_four_is_told_by_the_width_of_what_is_
 
 def test_a_frame_without_a_range_tells_nothing() -> None:
     assert not described(frame(np.nan), radius_m=1.0)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "told"),
+    [(1e30, "it measures 1e+30 to 1e+30 m"), (1e-30, "it measures 1e-30 to 1e-30 m, which is inside")],
+)
+def test_distances_whose_squares_have_no_32_bits_are_told(distance_m: float, told: str) -> None:
+    points_m = np.full((9, 3), [0.0, 0.0, distance_m], np.float32)
+    scan = LidarScan(stamp_ns=1, frame_id="l", points_m=points_m)
+    assert described(scan, radius_m=1.0, side_m=1.0).startswith(told)

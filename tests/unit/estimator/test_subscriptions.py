@@ -1020,6 +1020,15 @@ def test_the_scan_pattern_comes_from_the_latched_info():
     np.testing.assert_array_equal(bench.inputs.infos["lidar"].azimuth_rad, [-0.1, 0.0, 0.1])
 
 
+def test_a_configured_scan_pattern_counts_until_the_lidar_publishes_its_own():
+    angles = {"azimuth_rad": [-0.2, 0.0, 0.2], "elevation_rad": [0.0, 0.2]}
+    bench = Bench(sensors=[{"kind": "lidar", "T_chaser_sensor": {}, **angles}])
+    assert bench.inputs.infos["lidar"].azimuth_rad.tolist() == [-0.2, 0.0, 0.2]
+    bench.send(LIDAR_INFO.of("lidar"), lidar_info())
+    bench.arrived()
+    assert bench.inputs.infos["lidar"].azimuth_rad.tolist() == [-0.1, 0.0, 0.1]
+
+
 def test_scans_whose_rows_are_azimuth_are_turned():
     bench = lidar_bench()
     bench.send(LIDAR_INFO.of("lidar"), lidar_info(rows_are_elevation=False))

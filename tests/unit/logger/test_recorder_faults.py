@@ -102,7 +102,7 @@ def test_a_read_only_directory_is_told_and_recording_starts_when_it_can_be_writt
     with small_disk(tmp_path / "disk", MEBI) as disk:
         disk.remount("ro")
         one = desk(disk.path, **SMALL)
-        with pytest.raises(CannotWriteError, match="Read-only file system; make the directory writable"):
+        with pytest.raises(CannotWriteError, match="Read-only file system; make the folder writable"):
             one.recorder.start()
         disk.remount("rw")
         log = one.recorder.start()

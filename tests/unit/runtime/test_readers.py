@@ -240,6 +240,24 @@ def test_a_pattern_that_is_inferred_is_not_stated_by_the_lidar():
     assert reader.stated_info is reader.newest_info
 
 
+def test_a_configured_pattern_counts_before_an_inferred_one_and_behind_a_published_one():
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-20.0, 20.0)), np.radians(np.arange(-8.0, 8.0)))
+    rays = np.stack((np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth)), axis=-1)
+    cloud = write_points(1, "lidar", {name: 5.0 * rays[..., n] for n, name in enumerate("xyz")})
+    configured, published = (
+        LidarInfo(
+            azimuth_rad=azimuth[0], elevation_rad=elevation[:, 0], scan_time_s=0.0, sigma_range_m=sigma_m
+        )
+        for sigma_m in (0.01, 0.02)
+    )
+    reader = LidarReader()
+    reader.assume(configured)
+    reader.read(Assembled(1, {"points": received(POINTS.of("lidar"), cloud)}))
+    assert (reader.newest_info, reader.stated_info) == (configured, None)
+    reader.learn(write_lidar_info(1, "lidar", published))
+    assert reader.newest_info.sigma_range_m == reader.stated_info.sigma_range_m == 0.02
+
+
 def test_a_reader_without_anything_to_tell_has_the_defaults_of_the_protocol():
     class Plain(SensorReader):
         newest_info = "info"
@@ -248,6 +266,7 @@ def test_a_reader_without_anything_to_tell_has_the_defaults_of_the_protocol():
         def read(self, frame): ...
 
     reader = Plain()
+    reader.assume(None)
     assert (reader.stated_info, reader.inconsistency, reader.hint) == ("info", "", "")
     assert PmdReader().hint == ""
 

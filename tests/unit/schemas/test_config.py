@@ -3,13 +3,15 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
+from rpod_schemas.arrays import Vector3
 from rpod_schemas.config.base import Config, Positive, check, in_place, load, read_document
 from rpod_schemas.config.emulator import EmulatorConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.scenario import Scenario, ScenarioEstimator
+from rpod_schemas.config.service import RouterConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import Pose
 
@@ -26,6 +28,27 @@ class Outer(Config):
     """Names."""
     T_chaser_sensor: Pose | None = None
     """Mount."""
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("abc", "is 'abc'; it needs 3 numbers, in brackets"),
+        ([[1], [2, 3]], "is [[1], [2, 3]]; it needs 3 numbers, in brackets"),
+        (7, "is one number; it needs 3 numbers, in brackets"),
+        ([1, 2], "has 2 values; it needs 3"),
+    ],
+)
+def test_what_is_no_vector_is_told_in_plain_words(value, told):
+    with pytest.raises(ValidationError) as error:
+        TypeAdapter(Vector3).validate_python(value)
+    assert told in str(error.value)
+
+
+def test_the_error_of_a_long_text_is_short():
+    with pytest.raises(ConfigurationError) as error:
+        check(RouterConfig, {"listen": 10_000 * "x"}, source="lab.yaml")
+    assert len(str(error.value)) < 400
 
 
 @pytest.mark.parametrize(
@@ -49,6 +72,8 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
         ({"inner": {"rate_hz": 1}, "nmaes": []}, "nmaes", "not a known field"),
         ({}, "inner", "is missing"),
         ({"inner": {"rate_hz": -1}}, "inner.rate_hz", "is -1; it must be greater than 0"),
+        ({"inner": {"rate_hz": "fast"}}, "inner.rate_hz", "is 'fast'; it must be a number"),
+        ({"inner": {"rate_hz": None}}, "inner.rate_hz", "is None; it must be a number"),
         ({"inner": {"rate": 1}}, "inner.rate", "did you mean rate_hz? (and 1 more: inner.rate_hz)"),
         ({"iner": {"rate_hz": 1}}, "iner", "did you mean inner?"),
         ({"inner": {"rate_hz": 1}, "names": "front"}, "names", "is 'front'; it must be a list"),
@@ -57,6 +82,16 @@ def test_three_formats_read_alike(tmp_path, text, suffix):
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation_m": [1, 2]}},
             "T_chaser_sensor",
             "it needs 3 finite numbers",
+        ),
+        (
+            {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"translation": [1, 2, 3]}},
+            "T_chaser_sensor",
+            "has the unknown field 'translation'; it needs translation_m, and quaternion_xyzw or",
+        ),
+        (
+            {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"quaternion_xyzw": [1e200, 0, 0, 0]}},
+            "T_chaser_sensor",
+            "quaternion_xyzw has the norm 1e+200",
         ),
         (
             {"inner": {"rate_hz": 1}, "T_chaser_sensor": {"quaternion_xyzw": [1, 1, 1, 1]}},

@@ -71,7 +71,11 @@ def test_a_document_is_read_and_written_as_the_model_of_its_kind():
         (3, r"sensors\.0: needs named fields"),
         (
             {"kind": "pmd", "tracking": {"kind": "x"}},
-            r"tracking\.kind: no installed package provides .*pmd\.joint",
+            r"tracking\.kind: no installed package provides 'x' in rpod\.methods, known are epnp, .*joint",
+        ),
+        (
+            {"kind": "pmd", "acquisition": {"kind": "global"}},
+            r"acquisition\.kind: no installed package provides 'global' .*, known are view_search; correct",
         ),
         ({"kind": "pmd", "tracking": {"kind": "view_search"}}, r"'view_search' is no method for tracking"),
         ({"kind": "pmd", "tracking": {"kind": "joint", "far_points": 0}}, r"tracking\.far_points: "),

@@ -283,10 +283,15 @@ def test_a_mesh_that_cannot_be_used_is_refused(
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(TargetError, match=r"target 'mokup': is unknown; known are .*mockup") as caught:
+    with pytest.raises(TargetError, match=r"'mokup': is unknown \(did you mean mockup\?\); known") as caught:
         load_target("mokup")
     for name in shipped_targets():
         assert name in str(caught.value)
+
+
+def test_a_cad_file_in_place_of_a_target_is_refused_with_the_command_that_makes_one() -> None:
+    with pytest.raises(TargetError, match=r"body\.STL: is a CAD file, .*'rpod target new body\.STL' writes"):
+        load_target("body.STL")
 
 
 @pytest.mark.parametrize(

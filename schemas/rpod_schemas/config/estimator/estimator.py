@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.bounds import AzimuthsRad, ElevationsRad
+from rpod_schemas.bounds import SCAN_DIRECTIONS, SIGMA_RANGE_M, AzimuthsRad, ElevationsRad, bounded
 from rpod_schemas.config.base import ZENOH_ID, Config, Name, NonNegative, Positive, Share
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -20,7 +20,7 @@ from rpod_schemas.config.service import ESTIMATOR_ID, ServiceConfig
 from rpod_schemas.config.tuning import BUDGET, BY_HAND, Provenance, Tuning
 from rpod_schemas.poses import Pose
 from rpod_schemas.sensors.fields import HEARD, chosen
-from rpod_schemas.types import Camera
+from rpod_schemas.types import Camera, LidarInfo
 
 LidarAcquisition = Annotated[MethodConfig, chosen("lidar", "acquisition")]
 """Method that finds the target in LIDAR scans; ``kind`` chooses among the installed methods."""
@@ -41,16 +41,29 @@ class LidarInput(SensorInput):
     """Name of the sensor, the first part of its topics. Set it if the driver publishes under another name."""
     azimuth_rad: AzimuthsRad | None = None
     """Azimuths of the scan's columns, rad, shape (columns,). Set them if the driver sends no
-    ``<lidar>/info``; without either no scan is used."""
+    ``<lidar>/info``. If left out, they are inferred from the points, which takes scans with returns in
+    several rows and columns."""
     elevation_rad: ElevationsRad | None = None
     """Elevations of the scan's rows, rad, shape (rows,). Set them together with ``azimuth_rad``."""
-    sigma_range_m: NonNegative | None = None
-    """Standard deviation of a range, m. Set it if ``<lidar>/info`` does not state it; otherwise 0.05 m is
-    assumed. If it is too small, right poses are inconsistent with their scans."""
+    sigma_range_m: Annotated[float, bounded(SIGMA_RANGE_M)] | None = None
+    """Standard deviation of a range, m. Set it if the driver does not state it in ``<lidar>/info``; otherwise
+    0.05 m is assumed. If it is too small, right poses are inconsistent with their scans."""
     acquisition: LidarAcquisition = Field(default_factory=GlobalSearchConfig)
     """Method that finds the target without a prior pose; change ``kind`` to compare methods."""
     tracking: LidarTracking = Field(default_factory=ProjectiveIcpConfig)
     """Method that measures the pose from a predicted one; change ``kind`` to compare methods."""
+
+    @property
+    def configured_info(self) -> LidarInfo | None:
+        """Scan pattern and range noise that the configuration states; None without a pattern."""
+        if self.azimuth_rad is None or self.elevation_rad is None:
+            return None
+        return LidarInfo(
+            azimuth_rad=self.azimuth_rad,
+            elevation_rad=self.elevation_rad,
+            scan_time_s=0.0,
+            sigma_range_m=self.sigma_range_m or 0.0,
+        )
 
     def informed_by(self, emulated: EmulatedSensor) -> Self:
         """Return this input with the scan pattern and the range noise of the emulated LIDAR."""
@@ -66,6 +79,8 @@ class LidarInput(SensorInput):
             raise ValueError(
                 "azimuth_rad and elevation_rad make the scan pattern together: give both or none"
             )
+        if self.azimuth_rad is not None and self.elevation_rad is not None:
+            SCAN_DIRECTIONS.check(self.azimuth_rad.size * self.elevation_rad.size)
         return self
 
 

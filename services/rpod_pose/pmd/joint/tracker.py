@@ -115,12 +115,9 @@ class JointTracker:
         self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
         surface = SurfaceModel.of(target)
         self._coarse, self._faces = surface.coarse_field, surface.faces
+        ranges, most = self._ranges, float(tuning.depth.effective_points)
         self._depth_errors = DepthErrors(
-            tuning.depth.noise_m,
-            float(tuning.depth.effective_points),
-            self._ranges.bias_m,
-            self._ranges.uneven_m,
-            config.slack_m,
+            tuning.depth.noise_m, most, ranges.bias_m, ranges.uneven_m, config.slack_m
         )
         self._edge_errors = EdgeErrors.of(tuning.edges)
         self._model_error, self._lines = JointModelError(target, edges.parts), edges.lines
