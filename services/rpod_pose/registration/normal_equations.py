@@ -278,18 +278,3 @@ def geman_mcclure(square: float, scale2: float) -> float:
     """
     share = scale2 / (scale2 + square)
     return share * share
-
-
-@inner_kernel
-def geman_mcclure_bend(square: float, scale2: float) -> float:
-    """Return the weight less the second derivative of that loss, 4 c^4 r^2 / (c^2 + r^2)^3.
-
-    The weight is the curvature that iteratively reweighted least squares assumes. The true one tells how far
-    the minimum moves by errors (P. Huber, Robust Statistics, Wiley 1981, section 6.3).
-
-    Args:
-        square: r^2.
-        scale2: c^2, in the same unit, above 0.
-    """
-    share = scale2 / (scale2 + square)
-    return 4.0 * share * share * (1.0 - share)

@@ -24,7 +24,6 @@ from rpod_pose.registration.normal_equations import (
     SUMS,
     add_residual,
     geman_mcclure,
-    geman_mcclure_bend,
     gradient_of,
 )
 from rpod_schemas.arrays import FloatArray
@@ -75,7 +74,7 @@ class EdgeErrors(NamedTuple):
 
 
 class EdgeShifts(NamedTuple):
-    """Sums over inliers for shifts that edges share, towards their darker sides."""
+    """Sums for shifts that edges share, towards their darker sides, for curvature and for noise."""
 
     beside: FloatArray
     """Normal equations of the inliers beside saturated pixels for residuals of one pixel, shape (35,)."""
@@ -86,6 +85,10 @@ class EdgeShifts(NamedTuple):
     every: FloatArray
     """Normal equations of all inliers for residuals of one pixel with the curvature of the loss as weight,
     shape (35,)."""
+    bend: FloatArray
+    """Normal equations of all samples with their weights less the curvature of the loss, shape (35,)."""
+    white_px2: float
+    """Mean of the weight times the variance of the position by the image's noise, with the weights."""
 
 
 class EdgeEvidence(NamedTuple):
@@ -108,12 +111,8 @@ class EdgeEvidence(NamedTuple):
     """Number of inliers beside saturated pixels."""
     noise_px2: float
     """Sum of the variances of the inliers' positions caused by the image's noise."""
-    white_px2: float
-    """Mean of these variances times the weight, with the weights."""
     shifts: EdgeShifts
     """What shifts that edges share would do."""
-    bend: FloatArray
-    """Normal equations with weights less the curvature of the loss as weight, shape (35,)."""
 
 
 @kernel
@@ -140,17 +139,15 @@ def add_edge_points(  # noqa: PLR0917
         reach: half length of the search, px.
         errors: assumed errors of edges.
         counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``,
-            ``noise_px2``, ``white_px2``, ``bend`` and ``shifts.every`` are 0: a fit needs them in its last
-            step only.
+            ``noise_px2`` and all of ``shifts`` but ``beside`` and its sums are 0: a fit needs them in its
+            last step only.
     """
     edges, lens, patch, expected_edges, _ = sight
     R, places, directions = pose.R, edges.places_m, edges.directions
     image, saturated, least = patch.image, patch.saturated, patch.least
     squares, inliers, checked, found, expected, shifted, noise_px2 = 0.0, 0, 0, 0, 0.0, 0, 0.0
-    white, weights = 0.0, 0.0
     near2, c2, in_place = (SCALE * reach) ** 2, (errors.scale * reach) ** 2, np.zeros(3)
-    of_shifts = _ShiftSums(np.zeros(SUMS), np.zeros(SUMS), np.zeros(2))
-    bend = np.zeros(SUMS)
+    more = _Growing(np.zeros(SUMS), np.zeros(SUMS), np.zeros(SUMS), np.zeros(4))
     for m in range(len(expected_edges.sample)):
         if expected_edges.merged[m] and not errors.merged:
             continue
@@ -178,34 +175,28 @@ def add_edge_points(  # noqa: PLR0917
             continue
         kx, ky, kz = _slope(R, seen)
         normal, at_m, before = Vector(-kx, -ky, -kz), _row(places, n), expected_edges.before[m]
-        own = 1.0 / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
-        weight, bent = own * geman_mcclure(e2, c2), 0.0
+        weight = geman_mcclure(e2, c2) / (1.0 + before * (SHIFT_PX / errors.noise_px) ** 2)
         add_residual(sums, normal, at_m, -place, weight)
-        if counted:
-            bent = own * geman_mcclure_bend(e2, c2)
-            add_residual(bend, normal, at_m, 0.0, bent)
-        white, weights = white + (weight * noisy_px) ** 2, weights + weight
+        edge = SideEdge(normal, at_m, place, weight, before)
+        curvature = _add_curvature(more, edge, noisy_px, c2) if counted else 0.0
         if e2 < c2:
             inliers, squares = inliers + 1, squares + e2
             noise_px2 += noisy_px**2
-            edge = SideEdge(normal, at_m, place, weight, weight - bent, before)
-            shifted += _add_shifts(of_shifts, image, saturated, line, edge, counted)
-    shifts = EdgeShifts(of_shifts.beside, of_shifts.shift[0], of_shifts.shift[1], of_shifts.every)
-    white /= max(weights, 1e-9)
-    return EdgeEvidence(
-        squares, inliers, checked, found, expected, in_place, shifted, noise_px2, white, shifts, bend
-    )
+            shifted += _add_shifts(more, image, saturated, line, edge, curvature, counted)
+    return EdgeEvidence(squares, inliers, checked, found, expected, in_place, shifted, noise_px2, _all(more))
 
 
-class _ShiftSums(NamedTuple):
+class _Growing(NamedTuple):
     """The sums of ``EdgeShifts`` while they grow."""
 
     beside: FloatArray
     """Inliers beside saturated pixels, shape (35,)."""
     every: FloatArray
     """All inliers with their curvatures, shape (35,)."""
+    bend: FloatArray
+    """All samples with their weights less their curvatures, shape (35,)."""
     shift: FloatArray
-    """Weight and pull, shape (2,)."""
+    """Weight and pull; sums of squared weights times variances, and of weights; shape (4,)."""
 
 
 class SideEdge(NamedTuple):
@@ -219,8 +210,6 @@ class SideEdge(NamedTuple):
     """Its place on the line across it, px."""
     weight: float
     """Weight of its residual."""
-    curvature: float
-    """Second derivative of its loss."""
     before: bool
     """Whether it is an outline before something bright."""
 
@@ -276,12 +265,40 @@ def _slope(R: FloatArray, seen: _SeenEdge) -> Vector:
 
 
 @inlined_kernel
+def _add_curvature(sums: _Growing, edge: SideEdge, noisy_px: float, scale2: float) -> float:
+    """Add an edge to the sums of curvature and noise; return the second derivative of its loss.
+
+    The loss of ``geman_mcclure`` with the weight w has the second derivative w (1 - 4 r^2 / (c^2 + r^2)).
+
+    Args:
+        sums: input and output.
+        edge: the edge.
+        noisy_px: standard deviation of its position by the image's noise.
+        scale2: c^2, px^2.
+    """
+    e2 = edge.place * edge.place
+    bent = 4.0 * edge.weight * e2 / (scale2 + e2)
+    add_residual(sums.bend, edge.normal, edge.at, 0.0, bent)
+    sums.shift[2] += (edge.weight * noisy_px) ** 2
+    sums.shift[3] += edge.weight
+    return edge.weight - bent
+
+
+@inner_kernel
+def _all(sums: _Growing) -> EdgeShifts:
+    """Return the sums of all samples."""
+    weight, pull, white, weights = sums.shift
+    return EdgeShifts(sums.beside, weight, pull, sums.every, sums.bend, white / max(weights, 1e-9))
+
+
+@inlined_kernel
 def _add_shifts(  # noqa: PLR0917
-    sums: _ShiftSums,
+    sums: _Growing,
     image: Float32Array,
     saturated: NDArray[np.uint8],
     line: Profile,
     edge: SideEdge,
+    curvature: float,
     counted: bool,
 ) -> int:
     """Add an edge to the sums of the shifts; return 1 if it is one of those that share one, otherwise 0.
@@ -292,13 +309,14 @@ def _add_shifts(  # noqa: PLR0917
         saturated: mask as in ``Patch``, shape (rows, columns) or (0, 0).
         line: line across the edge.
         edge: the edge.
+        curvature: second derivative of its loss.
         counted: whether it is added to the sums of all edges.
     """
     if not (counted or edge.before or saturated.size > 0):
         return 0
     darker, shared = darker_side(image, line, edge.place), 0
     if counted:
-        add_residual(sums.every, edge.normal, edge.at, darker, edge.curvature)
+        add_residual(sums.every, edge.normal, edge.at, darker, curvature)
     if edge.before or is_beside_saturated(saturated, line, edge.place):
         add_residual(sums.beside, edge.normal, edge.at, darker, edge.weight)
         sums.shift[0] += edge.weight

@@ -149,7 +149,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
     edges = add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
-    return information_of(shares.points * sums + shares.edges * (of_edges - edges.bend), UNKNOWNS)
+    return information_of(shares.points * sums + shares.edges * (of_edges - edges.shifts.bend), UNKNOWNS)
 
 
 @linearises(JointProblem)
@@ -184,7 +184,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
         independent = problem.edge_errors.independent * edges.inliers
         excess /= min(problem.edge_errors.most_edges, independent)
-        parts[0] += per_variance * edges.white_px2 / independent * shifted.noisy
+        parts[0] += per_variance * edges.shifts.white_px2 / independent * shifted.noisy
         parts[2] += per_variance * excess * shifted.noisy
     total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2

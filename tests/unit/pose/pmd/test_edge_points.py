@@ -51,6 +51,8 @@ def edges():
         float(BESIDE),
         float(sides[beside] @ residuals_px[beside]),
         summed(normals, places_m, sides),
+        no_sums(),
+        0.0,
     )
     J = np.hstack([-normals, np.cross(normals, places_m)])
     return SimpleNamespace(
@@ -100,7 +102,7 @@ def test_a_shift_of_all_edges_moves_the_pose_by_as_much_as_stated(edges):
 
 def test_some_edges_beside_saturated_pixels_take_no_weight_from_the_others():
     """With a seventh of them, each edge had a fiftieth of its weight."""
-    shifts = EdgeShifts(no_sums(), 37.0, 0.0, no_sums())
+    shifts = EdgeShifts(no_sums(), 37.0, 0.0, no_sums(), no_sums(), 0.0)
     errors = EdgeErrors(noise_px=0.3, most_edges=300.0, reach_px=3.0)
     depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.005, slack_m=0.0)
     problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)
@@ -108,9 +110,7 @@ def test_some_edges_beside_saturated_pixels_take_no_weight_from_the_others():
         _shares.py_func(
             problem,
             FieldEvidence(0.0, 0.0, 0, 0.0),
-            EdgeEvidence(
-                244 * 0.3**2, 244, 260, 260, 250.0, np.zeros(3), shifted, 0.0, 0.0, shifts, no_sums()
-            ),
+            EdgeEvidence(244 * 0.3**2, 244, 260, 260, 250.0, np.zeros(3), shifted, 0.0, shifts),
             3.0,
         ).edges
         for shifted in (0, 37)

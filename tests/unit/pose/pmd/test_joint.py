@@ -225,8 +225,8 @@ def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than
     shares = []
     for independent in (1.0, 0.5):
         errors = EdgeErrors(0.3, 300.0, 3.0, independent=independent)
-        shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums())
-        edges = EdgeEvidence(100 * 0.3**2, 100, 100, 100, 100.0, np.zeros(3), 0, 0.0, 0.0, shifts, no_sums())
+        shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
+        edges = EdgeEvidence(100 * 0.3**2, 100, 100, 100, 100.0, np.zeros(3), 0, 0.0, shifts)
         depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.0, slack_m=0.0)
         problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)
         shares.append(_shares.py_func(problem, FieldEvidence(0.0, 0.0, 0, 0.0), edges, 3.0).edges)

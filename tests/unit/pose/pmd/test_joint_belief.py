@@ -25,8 +25,8 @@ LIMITS = JointAcceptanceConfig(
     ids=["of what is expected", "whatever the weights", "nothing is expected", "too few"],
 )
 def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(checked, in_place, share):
-    shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums())
-    evidence = EdgeEvidence(0.0, 0, checked, 0, 0.0, np.array(in_place), 0, 0.0, 0.0, shifts, no_sums())
+    shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
+    evidence = EdgeEvidence(0.0, 0, checked, 0, 0.0, np.array(in_place), 0, 0.0, shifts)
     assert edges_in_place(LIMITS, evidence) == pytest.approx(share)
 
 
