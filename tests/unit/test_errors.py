@@ -11,6 +11,7 @@ import pytest
 
 from rpod_runtime.delivery.accounting import Jump
 from rpod_runtime.delivery.holders import Peer
+from rpod_runtime.sensor_data.step_watch import Step
 from rpod_schemas.errors import MessageRejectedError, Reason, RpodError
 from rpod_schemas.logs import Recovery
 
@@ -38,6 +39,7 @@ FACTS = {
     "EntryPoint": EntryPoint("mono", "mono_camera:KIND", "rpod.sensors"),
     "Peer": Peer(b"\x01" * 16, "a0"),
     "Jump": Jump("0/pmd/info", b"\x01" * 16, 7, 7 + 2**40),
+    "Step": Step(0.05, 0.01, 0.02),
     "Role": "tracking",
     "tuple[str, ...]": ("one", "two"),
     "Recovery": Recovery(

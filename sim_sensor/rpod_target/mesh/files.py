@@ -125,7 +125,7 @@ def read_mesh_file(
     wrong = np.flatnonzero(~np.isfinite(mesh.triangles).all(axis=(1, 2)))
     if wrong.size:
         raise ValueError(
-            f"{wrong.size} of its {len(mesh.triangles)} triangles have a coordinate that is not finite, the "
+            f"has {wrong.size} of {len(mesh.triangles)} triangles with a coordinate that is not finite, the "
             f"first one in object {objects[mesh.triangle_object[wrong[0]]]!r}: export it again"
         )
     return mesh

@@ -278,7 +278,7 @@ def test_a_mesh_that_cannot_be_used_is_refused(
     build: Build, write_stl: Callable[[str, Any], Path], share: float
 ) -> None:
     write_stl("hull.stl", share * build().triangles_m)
-    with pytest.raises(TargetError, match=r"parts\.0\.file: hull\.stl contains"):
+    with pytest.raises(TargetError, match=r"parts\.0\.file: hull\.stl (contains no|has 12 of 12) triangle"):
         build({"shape": "mesh", "file": "hull.stl", "metres_per_unit": 1.0})
 
 

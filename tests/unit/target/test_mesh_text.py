@@ -349,5 +349,5 @@ def test_an_obj_whose_corners_are_counted_from_zero_is_refused(tmp_path: Path) -
 
 def test_coordinates_that_are_not_finite_are_counted_and_the_first_one_is_named(tmp_path: Path) -> None:
     text = "o hull\n" + OBJ + "v nan 0 0\no antenna\nf 1 2 5\n"
-    with pytest.raises(ValueError, match=r"1 of its 5 triangles .* not finite, .* object 'antenna'"):
+    with pytest.raises(ValueError, match=r"1 of 5 triangles .* not finite, .* object 'antenna'"):
         read(tmp_path, "hull.obj", text.encode())
