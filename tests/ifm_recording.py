@@ -103,17 +103,17 @@ class FakeSdk:
 
 
 class PlayedSdk(FakeSdk):
-    """A head whose distances have noise, and whose frames come at their pace."""
+    """A head whose distances have noise, and whose frames come at their pace, those of a pause at once."""
 
     PERIOD_S = 0.05
 
     def __init__(self) -> None:
         super().__init__(tof_info=tof_info_bytes())
         self._radial_m = self._buffers["RADIAL_DISTANCE_IMAGE"]
-        self._random, self._next_s = np.random.default_rng(1), time.time()
+        self._random, self._next_s = np.random.default_rng(1), 0.0
 
     def wait_for_frame(self):
-        self._next_s = max(self._next_s, time.time() - self.PERIOD_S) + self.PERIOD_S
+        self._next_s = (self._next_s or time.time()) + self.PERIOD_S
         time.sleep(max(0.0, self._next_s - time.time()))
         noise = 1e-3 * self._random.standard_normal(self._radial_m.shape).astype(np.float32)
         self._buffers["RADIAL_DISTANCE_IMAGE"] = np.where(self._radial_m > 0, self._radial_m + noise, 0)
