@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from rpod_geometry.drawing import TOGETHER, Face, draw, fill_half_planes, fill_sides, fill_spans, volume_of
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.lines import Lines, end_line, finer_lines_of, first_line, slopes_of
-from rpod_geometry.rays import GridArrays, RenderBuffers, cast_pose
+from rpod_geometry.rays import GridArrays
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import Float32Array
 
 PER_LINE = 16
 """Number of entries of a table of rows or columns for each of them. Numerics: measured times; with more
 entries, fewer triangles are kept in vain, and the table takes longer to fill."""
-MANY = 5000
-"""Number of triangles above which ``cast_mesh`` looks up shared corners. Numerics: measured times of the rays
-of a camera (352 x 287 pixels), which are the same for a body of 5,400 triangles."""
 
 
 class SharedCorners(NamedTuple):
@@ -34,20 +31,6 @@ class SharedCorners(NamedTuple):
     """Corners, target axes, shape (3, V)."""
     of_triangle: NDArray[np.int32]
     """Indices of each triangle's corners, shape (T, 3)."""
-
-
-class Mesh(NamedTuple):
-    """The triangles of a target, with the corners that they share."""
-
-    triangles_m: FloatArray
-    """Corners, target axes, shape (T, 3, 3)."""
-    shared: SharedCorners
-    """The same corners, each listed once."""
-
-
-def mesh_of(triangles_m: FloatArray) -> Mesh:
-    """Return the mesh of triangles, shape (T, 3, 3)."""
-    return Mesh(np.ascontiguousarray(triangles_m), shared_corners(triangles_m))
 
 
 def shared_corners(triangles_m: FloatArray) -> SharedCorners:
@@ -110,23 +93,6 @@ def cast_shared(  # noqa: PLR0917
                 spans[first:end, 0], spans[first:end, 1] = begin, stop
             draw(rays, side, face, spans, range_m, triangle)
     range_m[:] = 1.0 / range_m
-
-
-@kernel
-def cast_mesh(grid: GridArrays, mesh: Mesh, R: FloatArray, t: FloatArray, hits: RenderBuffers) -> None:
-    """Fill the first hit of every ray on outer sides, by the faster of two ways; the results are the same.
-
-    Args:
-        grid: ``RayGrid.arrays``.
-        mesh: the target.
-        R: R_sensor_target, shape (3, 3).
-        t: position of the target in the sensor, shape (3,), m.
-        hits: output.
-    """
-    if mesh.triangles_m.shape[0] > MANY:
-        cast_shared(grid, mesh.shared, R, t, hits.range_m, hits.triangle)
-    else:
-        cast_pose(grid, mesh.triangles_m, R, t, True, hits.range_m, hits.triangle)
 
 
 @inner_kernel

@@ -5,20 +5,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_geometry.rays import Hits, RayGrid, cast_pose
-from rpod_geometry.shared_corners import MANY, cast_mesh, cast_shared, mesh_of, shared_corners
+from rpod_geometry.shared_corners import cast_shared, shared_corners
 
 SPAN = 30
 NARROW = RayGrid.azimuth_elevation(np.radians(np.linspace(-9, 9, 21)), np.radians(np.linspace(-6, 6, 17)))
 WIDE = RayGrid.azimuth_elevation(np.radians(np.linspace(-120, 120, 31)), np.radians(np.linspace(-50, 50, 9)))
 
 
-def rough_sheet(span=SPAN):
-    """A sheet of 2 m, with 1,682 triangles by default, each with another slope."""
-    x, y = np.meshgrid(np.linspace(-1, 1, span), np.linspace(-1, 1, span))
+def rough_sheet():
+    """A sheet of 2 m with 1,682 triangles, each with another slope."""
+    x, y = np.meshgrid(np.linspace(-1, 1, SPAN), np.linspace(-1, 1, SPAN))
     corners_m = np.stack((x, y, np.random.default_rng(3).normal(0.0, 0.05, x.shape)), axis=-1).reshape(-1, 3)
-    first = (np.arange(span - 1)[:, None] * span + np.arange(span - 1)).ravel()
-    upper = np.stack((first, first + span, first + 1), axis=-1)
-    lower = np.stack((first + 1, first + span, first + span + 1), axis=-1)
+    first = (np.arange(SPAN - 1)[:, None] * SPAN + np.arange(SPAN - 1)).ravel()
+    upper = np.stack((first, first + SPAN, first + 1), axis=-1)
+    lower = np.stack((first + 1, first + SPAN, first + SPAN + 1), axis=-1)
     return np.ascontiguousarray(corners_m[np.concatenate((upper, lower))])
 
 
@@ -38,19 +38,3 @@ def test_corners_that_are_equal_are_one():
     shared = shared_corners(rough_sheet())
     assert shared.corners_m.shape == (3, SPAN**2)
     np.testing.assert_array_equal(shared.corners_m.T[shared.of_triangle], rough_sheet())
-
-
-@pytest.mark.parametrize("span", [SPAN, 60])
-def test_a_detailed_mesh_has_the_hits_of_each_triangle(span):
-    triangles_m, R, t = (
-        rough_sheet(span),
-        Rotation.from_rotvec((0.2, 0.9, 0.1)).as_matrix(),
-        np.array((0, 0, 9.0)),
-    )
-    assert (len(triangles_m) > MANY) == (span > SPAN)
-    one, other = Hits.of(NARROW), Hits.of(NARROW)
-    cast_pose(NARROW.arrays, triangles_m, R, t, True, one.range_m, one.triangle)
-    cast_mesh(NARROW.arrays, mesh_of(triangles_m), R, t, other.arrays)
-    np.testing.assert_array_equal(one.triangle, other.triangle)
-    np.testing.assert_array_equal(one.range_m, other.range_m)
-    assert (one.triangle >= 0).any()

@@ -124,7 +124,7 @@ def group_sums(problem: JointProblem, state: State, shares: Shares, group: NDArr
         found = add_edge_points(sums, part, state.pose, reach, problem.edge_errors)
         gradients[k] = gradient_of(shares.edges * sums, UNKNOWNS)
         informations[k] = information_of(shares.edges * sums, UNKNOWNS)
-        bends[k] = information_of(shares.edges * found.shifts.bend, UNKNOWNS)
+        bends[k] = information_of(shares.edges * found.sums.bend, UNKNOWNS)
     return Lines(gradients, informations, bends)
 
 

@@ -20,12 +20,7 @@ from rpod_pose.pmd.joint.brightness.amplitude_noise import noise_of_place
 from rpod_pose.pmd.joint.edge_search import Imaged, Lens, Profile, across_edge, imaged, steepest
 from rpod_pose.pmd.joint.expected_edges import ALIASED_PX, EdgeSight, add_in_place
 from rpod_pose.registration.lie_group import PoseArrays, Vector, in_sensor, in_target
-from rpod_pose.registration.normal_equations import (
-    SUMS,
-    add_residual,
-    geman_mcclure,
-    gradient_of,
-)
+from rpod_pose.registration.normal_equations import SUMS, add_residual, geman_mcclure, gradient_of
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
@@ -51,7 +46,7 @@ class EdgeErrors(NamedTuple):
     """Half length of the search in the last steps; edges have less weight while the search is longer."""
     scale: float = SCALE
     """Geman-McClure scale of a residual over the reach of the search."""
-    noise_of_place: float = 0.62
+    place_noise: float = noise_of_place(JointEdgeConfig().blur_px)
     """Noise of an edge's position, px, times its change over the noise of the image (``noise_of_place``)."""
     px_per_m: float = 0.0
     """Motion in the image, px, per metre across the line of sight, at the depth of the visible points."""
@@ -69,11 +64,11 @@ class EdgeErrors(NamedTuple):
             config.sigma_px,
             float(config.effective_edges),
             config.final_search_px,
-            noise_of_place=noise_of_place(config.blur_px),
+            place_noise=noise_of_place(config.blur_px),
         )
 
 
-class EdgeShifts(NamedTuple):
+class EdgeSums(NamedTuple):
     """Sums for shifts that edges share, towards their darker sides, for curvature and for noise."""
 
     beside: FloatArray
@@ -111,8 +106,8 @@ class EdgeEvidence(NamedTuple):
     """Number of inliers beside saturated pixels."""
     noise_px2: float
     """Sum of the variances of the inliers' positions caused by the image's noise."""
-    shifts: EdgeShifts
-    """What shifts that edges share would do."""
+    sums: EdgeSums
+    """What shifts that edges share, and noise, would do."""
 
 
 @kernel
@@ -139,7 +134,7 @@ def add_edge_points(  # noqa: PLR0917
         reach: half length of the search, px.
         errors: assumed errors of edges.
         counted: whether all of the evidence is asked for. Otherwise ``expected``, ``in_place``,
-            ``noise_px2`` and all of ``shifts`` but ``beside`` and its sums are 0: a fit needs them in its
+            ``noise_px2`` and all of ``sums`` but ``beside`` and its sums are 0: a fit needs them in its
             last step only.
     """
     edges, lens, patch, expected_edges, _ = sight
@@ -167,7 +162,7 @@ def add_edge_points(  # noqa: PLR0917
         found += near
         noisy_px = 0.0
         if counted:
-            noisy_px = errors.noise_of_place * patch.noise / max(expected_edges.change[m], change)
+            noisy_px = errors.place_noise * patch.noise / max(expected_edges.change[m], change)
             share = expected_edges.probability[m] * share_within(SCALE * reach, errors.noise_px, noisy_px)
             expected += share
             add_in_place(in_place, share, near)
@@ -187,7 +182,7 @@ def add_edge_points(  # noqa: PLR0917
 
 
 class _Growing(NamedTuple):
-    """The sums of ``EdgeShifts`` while they grow."""
+    """The sums of ``EdgeSums`` while they grow."""
 
     beside: FloatArray
     """Inliers beside saturated pixels, shape (35,)."""
@@ -285,10 +280,11 @@ def _add_curvature(sums: _Growing, edge: SideEdge, noisy_px: float, scale2: floa
 
 
 @inner_kernel
-def _all(sums: _Growing) -> EdgeShifts:
+def _all(sums: _Growing) -> EdgeSums:
     """Return the sums of all samples."""
     weight, pull, white, weights = sums.shift
-    return EdgeShifts(sums.beside, weight, pull, sums.every, sums.bend, white / max(weights, 1e-9))
+    white_px2 = white / weights if weights > 0.0 else 0.0
+    return EdgeSums(sums.beside, weight, pull, sums.every, sums.bend, white_px2)
 
 
 @inlined_kernel
@@ -373,7 +369,7 @@ class Shifted(NamedTuple):
 
 
 @inner_kernel
-def without_shift(of_edges: FloatArray, shifts: EdgeShifts, per_px2: float) -> Shifted:
+def without_shift(of_edges: FloatArray, shifts: EdgeSums, per_px2: float) -> Shifted:
     """Eliminate the shift of edges beside saturated pixels from the sums of the edges, in place.
 
     The shift d is an unknown with the prior N(0, ``SHIFT_PX``). With the column c of its products with the

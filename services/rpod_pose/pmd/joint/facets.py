@@ -32,7 +32,8 @@ def facet_turns(target: Target) -> FloatArray:
         for each in target.symmetries
         if not each.exact and (each.continuous or each.order >= FEWEST)
     ]
-    turns = [step * _facet_rad(target, axis) * axis for axis in axes for step in STEPS]
+    facets = [_facet_rad(target, axis) * axis for axis in axes]
+    turns = [step * facet for facet in facets for step in STEPS]
     return Rotation.from_rotvec(np.array(turns).reshape(-1, 3)).as_matrix()
 
 
@@ -51,5 +52,5 @@ def _facet_rad(target: Target, axis: FloatArray) -> float:
     angle_rad = np.arctan2(target.normals @ second, target.normals @ first)
     area = areas_m2(target.triangles_m) * np.sqrt(np.maximum(1.0 - along**2, 0.0))
     orders = np.arange(FEWEST, MOST + 1)
-    regular = np.abs(np.exp(1j * np.outer(orders, angle_rad)) @ area)
+    regular = np.array([np.abs(np.exp(1j * order * angle_rad) @ area) for order in orders])
     return float(2.0 * np.pi / orders[np.argmax(regular > REGULAR * regular.max())])

@@ -11,7 +11,6 @@ import numpy as np
 
 from rpod_geometry.kernels import inner_kernel, kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers
-from rpod_geometry.shared_corners import Mesh, cast_mesh
 from rpod_pose.pmd.joint.depth_points import Planes, add_depth_points
 from rpod_pose.pmd.joint.edge_points import (
     LAST_SCALE,
@@ -31,6 +30,7 @@ from rpod_pose.registration.normal_equations import (
     information_of,
     no_sums,
 )
+from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 
 REACH_M, REACH_RAD = 0.5, 0.2
@@ -149,7 +149,7 @@ def cell_information(problem: JointProblem, state: State, shares: Shares) -> Flo
     sums, of_edges = no_sums(), no_sums()
     add_depth_points(sums, problem.points, problem.planes, state, problem.field, scale)
     edges = add_edge_points(of_edges, problem.sight, state.pose, reach, problem.edge_errors)
-    return information_of(shares.points * sums + shares.edges * (of_edges - edges.shifts.bend), UNKNOWNS)
+    return information_of(shares.points * sums + shares.edges * (of_edges - edges.sums.bend), UNKNOWNS)
 
 
 @linearises(JointProblem)
@@ -171,7 +171,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         edges = add_edge_points(no_sums(), problem.sight, pose, reach, problem.edge_errors)
     shares = _shares(problem, points, edges, reach)
     of_points, of_edges = shares.points * of_points, shares.edges * of_edges
-    shifted = without_shift(of_edges, edges.shifts, shares.edges)
+    shifted = without_shift(of_edges, edges.sums, shares.edges)
     parts = np.zeros((3, SUMS))
     if points.inliers > 0:
         per_variance = shares.points * points.trusted
@@ -184,7 +184,7 @@ def joint_equations(problem: JointProblem, state: State, step: int) -> Linear[Jo
         excess = max(0.0, edges.squares_px2 - edges.noise_px2) / edges.inliers
         independent = problem.edge_errors.independent * edges.inliers
         excess /= min(problem.edge_errors.most_edges, independent)
-        parts[0] += per_variance * edges.shifts.white_px2 / independent * shifted.noisy
+        parts[0] += per_variance * edges.sums.white_px2 / independent * shifted.noisy
         parts[2] += per_variance * excess * shifted.noisy
     total = of_points + of_edges
     total[SUMS - 2] += 1.0 / depth.bias_m**2
@@ -216,19 +216,19 @@ class Measured(NamedTuple):
 
 @kernel
 def agreement(
-    measured: Measured, grid: GridArrays, mesh: Mesh, pose: PoseArrays, buffers: RenderBuffers
+    measured: Measured, grid: GridArrays, faces: Faces, pose: PoseArrays, buffers: RenderBuffers
 ) -> tuple[float, float]:
     """Return the total weight of the coarse pixels that agree with a pose, and that of all checked pixels.
 
     Args:
         measured: the frame.
         grid: rays of the coarse pixels.
-        mesh: the target.
+        faces: the target.
         pose: its pose.
         buffers: output, the target rendered at the pose.
     """
     range_m, owner = buffers
-    cast_mesh(grid, mesh, pose.R, pose.t, buffers)
+    cast_faces(grid, faces, pose.R, pose.t, buffers)
     agreeing, checked = 0.0, 0.0
     for i in range(range_m.shape[0]):
         for j in range(range_m.shape[1]):

@@ -20,7 +20,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rpod_geometry.rays import Hits, RenderBuffers
-from rpod_geometry.shared_corners import cast_mesh
 from rpod_pose.belief import PixelMarks
 from rpod_pose.pmd.depth_view import DepthView
 from rpod_pose.pmd.joint.alternatives import (
@@ -56,7 +55,7 @@ from rpod_pose.registration.field_alignment import Points, field_aligned
 from rpod_pose.registration.gauss_newton import State
 from rpod_pose.registration.lie_group import PoseArrays
 from rpod_pose.registration.normal_equations import no_sums
-from rpod_pose.registration.surface_model import SurfaceModel
+from rpod_pose.registration.surface_model import cast_faces, coarse_field
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointConfig
 from rpod_schemas.poses import pose_of
@@ -113,8 +112,7 @@ class JointTracker:
         self._near = np.vstack((coarse[-tuning.near_iterations :], self._narrow))
         self._full = np.vstack((coarse, self._narrow))
         self._far_m = target.radius_m * np.geomspace(tuning.far_scale_share, scale, tuning.far_iterations)
-        surface = SurfaceModel.of(target)
-        self._coarse, self._faces = surface.coarse_field, surface.faces
+        self._coarse, self._faces = coarse_field(target), self._renderer.faces
         ranges, most = self._ranges, float(tuning.depth.effective_points)
         self._depth_errors = DepthErrors(
             tuning.depth.noise_m, most, ranges.bias_m, ranges.uneven_m, config.slack_m
@@ -312,7 +310,7 @@ class JointTracker:
     def _planes(self, seen: JointFrame, pose: PoseArrays) -> Planes:
         """Return the planes of the faces that the points' pixels show at a pose."""
         buffers = self._buffers_of(seen.view)
-        cast_mesh(seen.view.coarse.arrays, self._renderer.mesh, pose.R, pose.t, buffers)
+        cast_faces(seen.view.coarse.arrays, self._faces, pose.R, pose.t, buffers)
         return Planes.of(self._faces, buffers.triangle.ravel()[seen.pixel])
 
     def _registered(self, seen: JointFrame, sights: Sights, aligned: Aligned, steps: int) -> Registration:

@@ -10,7 +10,7 @@ from rpod_pose.pmd.joint.edge_points import (
     SHIFT_PX,
     EdgeErrors,
     EdgeEvidence,
-    EdgeShifts,
+    EdgeSums,
     Shifted,
     without_shift,
 )
@@ -35,7 +35,7 @@ def summed(normals: FloatArray, places_m: FloatArray, residuals_px: FloatArray) 
 
 
 @kernel
-def eliminated(of_edges: FloatArray, shifts: EdgeShifts, per_px2: float) -> Shifted:
+def eliminated(of_edges: FloatArray, shifts: EdgeSums, per_px2: float) -> Shifted:
     return without_shift(of_edges, shifts, per_px2)
 
 
@@ -46,7 +46,7 @@ def edges():
     sides = rng.choice([-1.0, 1.0], NUMBER)
     residuals_px = 0.1 * rng.standard_normal(NUMBER)
     beside = slice(0, BESIDE)
-    shifts = EdgeShifts(
+    shifts = EdgeSums(
         summed(normals[beside], places_m[beside], sides[beside]),
         float(BESIDE),
         float(sides[beside] @ residuals_px[beside]),
@@ -102,7 +102,7 @@ def test_a_shift_of_all_edges_moves_the_pose_by_as_much_as_stated(edges):
 
 def test_some_edges_beside_saturated_pixels_take_no_weight_from_the_others():
     """With a seventh of them, each edge had a fiftieth of its weight."""
-    shifts = EdgeShifts(no_sums(), 37.0, 0.0, no_sums(), no_sums(), 0.0)
+    shifts = EdgeSums(no_sums(), 37.0, 0.0, no_sums(), no_sums(), 0.0)
     errors = EdgeErrors(noise_px=0.3, most_edges=300.0, reach_px=3.0)
     depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.005, slack_m=0.0)
     problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)

@@ -22,7 +22,7 @@ from rpod_pose.pmd.joint.edge_points import (
     SCALE,
     EdgeErrors,
     EdgeEvidence,
-    EdgeShifts,
+    EdgeSums,
     add_edge_points,
 )
 from rpod_pose.pmd.joint.edge_search import CoarsePixels
@@ -225,7 +225,7 @@ def test_samples_of_edges_count_as_independent_where_they_are_farther_apart_than
     shares = []
     for independent in (1.0, 0.5):
         errors = EdgeErrors(0.3, 300.0, 3.0, independent=independent)
-        shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
+        shifts = EdgeSums(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
         edges = EdgeEvidence(100 * 0.3**2, 100, 100, 100, 100.0, np.zeros(3), 0, 0.0, shifts)
         depth = DepthErrors(noise_m=0.006, most_points=400.0, bias_m=0.04, uneven_m=0.0, slack_m=0.0)
         problem = SimpleNamespace(depth_errors=depth, edge_errors=errors)

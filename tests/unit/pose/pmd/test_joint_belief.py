@@ -4,7 +4,7 @@ from pydantic import ValidationError
 
 from rpod_pose.pmd.joint.check.belief import edges_in_place, frame_belief, misplaced_edges, wrong_scale
 from rpod_pose.pmd.joint.check.frame_check import Contradictions
-from rpod_pose.pmd.joint.edge_points import EdgeEvidence, EdgeShifts
+from rpod_pose.pmd.joint.edge_points import EdgeEvidence, EdgeSums
 from rpod_pose.registration.normal_equations import no_sums
 from rpod_schemas.config.pmd.joint import JointAcceptanceConfig, JointTuning
 from rpod_schemas.types import BeliefLevel
@@ -25,7 +25,7 @@ LIMITS = JointAcceptanceConfig(
     ids=["of what is expected", "whatever the weights", "nothing is expected", "too few"],
 )
 def test_the_share_of_edges_in_place_grants_what_chance_may_take_off(checked, in_place, share):
-    shifts = EdgeShifts(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
+    shifts = EdgeSums(no_sums(), 0.0, 0.0, no_sums(), no_sums(), 0.0)
     evidence = EdgeEvidence(0.0, 0, checked, 0, 0.0, np.array(in_place), 0, 0.0, shifts)
     assert edges_in_place(LIMITS, evidence) == pytest.approx(share)
 

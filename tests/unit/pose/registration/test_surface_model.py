@@ -1,8 +1,11 @@
-"""The edges at which a target's surface may end for a sensor."""
+"""The edges at which a target's surface may end for a sensor, and the ways of casting rays at it."""
 
 import numpy as np
+import pytest
 
-from rpod_pose.registration.surface_model import outline_edges
+from rpod_geometry.rays import Hits, RayGrid, cast_pose
+from rpod_pose.registration.surface_model import MANY, Faces, cast_faces, outline_edges
+from rpod_target import load_target
 from rpod_target.mesh.topology import unit_normals
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -38,3 +41,18 @@ def test_where_more_than_two_faces_meet_each_has_a_border():
     found = edges(np.concatenate([TETRAHEDRON, TETRAHEDRON * np.array([1.0, -1.0, 1.0])[:, None].T]))
     shared = (np.abs(found.ends_m[:, :, 1]) < 1e-9).all(axis=1)
     assert (found.faces[shared, 0] == found.faces[shared, 1]).all()
+
+
+@pytest.mark.parametrize("rays", [8, 40, 200], ids=["few", "some", "more than triangles"])
+def test_each_way_of_casting_finds_the_same_hits(rays):
+    """`envisat-detailed` has more than ``MANY`` triangles; its hits are the same, however many rays meet it."""
+    faces = Faces.of(load_target("envisat-detailed"))
+    assert len(faces.triangles_m) > MANY
+    angles_rad = np.radians(np.linspace(-8.0, 8.0, rays))
+    grid, R, t = RayGrid.azimuth_elevation(angles_rad, angles_rad), np.eye(3), np.array([1.0, 0.5, 60.0])
+    one, other = Hits.of(grid), Hits.of(grid)
+    cast_pose(grid.arrays, faces.triangles_m, R, t, True, *one.arrays)
+    cast_faces(grid.arrays, faces, R, t, other.arrays)
+    np.testing.assert_array_equal(one.triangle, other.triangle)
+    np.testing.assert_allclose(one.range_m, other.range_m, rtol=1e-6)
+    assert (one.triangle >= 0).any()

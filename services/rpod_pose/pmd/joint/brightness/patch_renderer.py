@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from rpod_geometry.finer_rays import Surface
 from rpod_geometry.kernels import kernel
 from rpod_geometry.rays import GridArrays, RenderBuffers
-from rpod_geometry.shared_corners import Mesh, cast_mesh, mesh_of
 from rpod_pose.pmd.joint.brightness.amplitude_noise import sky_of
 from rpod_pose.pmd.joint.brightness.brightness_fit import (
     faintest,
@@ -24,6 +23,7 @@ from rpod_pose.pmd.joint.edge_search import Patch
 from rpod_pose.pmd.rendering import Window
 from rpod_pose.registration.brightness import albedos, faces_of, surfaces_of
 from rpod_pose.registration.lie_group import PoseArrays, in_target
+from rpod_pose.registration.surface_model import Faces, cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointEdgeConfig
 from rpod_schemas.types import Float32Array
@@ -93,7 +93,7 @@ class PatchRenderer:
     def __init__(self, target: Target, config: JointEdgeConfig) -> None:
         self._appearance, self._config = Appearance.of(target), config
         self._faces, self._surfaces = faces_of(target), surfaces_of(target)
-        self._mesh = mesh_of(np.asarray(target.triangles_m))
+        self._triangles = Faces.of(target)
         self._beyond = beyond_sides(np.asarray(target.triangles_m))
         self._room = np.empty((2, 0), np.float32)
 
@@ -103,9 +103,9 @@ class PatchRenderer:
         return self._appearance.radius_m
 
     @property
-    def mesh(self) -> Mesh:
+    def faces(self) -> Faces:
         """The target's triangles, for casting rays."""
-        return self._mesh
+        return self._triangles
 
     @property
     def blur_px(self) -> float:
@@ -119,7 +119,7 @@ class PatchRenderer:
             self._room = np.empty((2, rows * columns), np.float32)
         range_m, triangle = (line[: rows * columns].reshape(rows, columns) for line in self._room)
         hits = RenderBuffers(range_m, triangle.view(np.int32))
-        cast_mesh(rays, self._mesh, pose.R, pose.t, hits)
+        cast_faces(rays, self._triangles, pose.R, pose.t, hits)
         return hits
 
     def render(self, rays: GridArrays, per_px: int, pose: PoseArrays, patch: Patch) -> Rendered:

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.constants import speed_of_light
 
 from rpod_geometry.rays import Hits, RenderBuffers
-from rpod_geometry.shared_corners import cast_mesh
 from rpod_pose.pmd.joint.brightness.patch_renderer import PatchRenderer
 from rpod_pose.pmd.joint.check.bright_beyond import unsupported
 from rpod_pose.pmd.joint.check.frame_check import BRIGHT, Contradictions, SeenPixels, contradictions
@@ -24,6 +23,7 @@ from rpod_pose.pmd.joint.frame import JointFrame
 from rpod_pose.pmd.rendering import FineRanges, Rendering
 from rpod_pose.ports import Registration
 from rpod_pose.registration.lie_group import PoseArrays
+from rpod_pose.registration.surface_model import cast_faces
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.pmd.joint import JointTuning, RangeErrorConfig
 from rpod_schemas.types import PmdFrame
@@ -51,7 +51,7 @@ class PixelCheck:
     def __init__(
         self, target: Target, tuning: JointTuning, ranges: RangeErrorConfig, renderer: PatchRenderer
     ) -> None:
-        self._radius_m, self._mesh = target.radius_m, renderer.mesh
+        self._radius_m, self._faces = target.radius_m, renderer.faces
         self._tuning, self._limits, self._ranges, self._renderer = tuning, tuning.check, ranges, renderer
         self._near_m = max(tuning.near_depth_share * target.radius_m, ranges.bias_m)
         self._missing_weight = tuning.missing_weight
@@ -72,9 +72,9 @@ class PixelCheck:
             buffers: buffers for the rendered coarse pixels.
         """
         view, limits, (R, t) = seen.view, self._limits, pose
-        cast_mesh(view.coarse.arrays, self._mesh, R, t, buffers)
+        cast_faces(view.coarse.arrays, self._faces, R, t, buffers)
         images = SeenPixels(seen.range_m, seen.sigma_m, seen.shade)
-        coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._mesh.triangles_m, R, t)
+        coarse = Rendering(*buffers, view.coarse, view.stride, view.camera.fx, self._faces.triangles_m, R, t)
         check = partial(
             contradictions,
             radius_m=self._radius_m,
@@ -101,7 +101,7 @@ class PixelCheck:
             buffers: buffers for the rendered coarse pixels.
         """
         measured = Measured(seen.range_m, seen.sigma_m, self._near_m, self._missing_weight)
-        agreeing, checked = agreement(measured, seen.view.coarse.arrays, self._mesh, pose, buffers)
+        agreeing, checked = agreement(measured, seen.view.coarse.arrays, self._faces, pose, buffers)
         return agreeing / checked if checked else 0.0
 
     def by_extent(self, frame: PmdFrame, found: Registration) -> Registration:
@@ -123,7 +123,7 @@ class PixelCheck:
         pixels tell a smaller body before something bright that has no ranges.
         """
         rendered = Hits.of(seen.view.coarse).arrays
-        cast_mesh(seen.view.coarse.arrays, self._mesh, pose.R, pose.t, rendered)
+        cast_faces(seen.view.coarse.arrays, self._faces, pose.R, pose.t, rendered)
         ranged = seen.every_range_m > 0.0
         inside = cv2.erode((rendered.triangle >= 0).view(np.uint8), NEIGHBOURS, borderValue=0).view(bool)
         bright = (seen.typical < seen.shade) & (seen.shade < BRIGHT[1] * seen.typical)
