@@ -45,7 +45,7 @@ def test_where_more_than_two_faces_meet_each_has_a_border():
 
 @pytest.mark.parametrize("rays", [8, 40, 200], ids=["few", "some", "more than triangles"])
 def test_each_way_of_casting_finds_the_same_hits(rays):
-    """`envisat-detailed` has more than ``MANY`` triangles; its hits are the same, however many rays meet it."""
+    """`envisat-detailed` has more than ``MANY`` triangles; few rays use the tree, many the shared corners."""
     faces = Faces.of(load_target("envisat-detailed"))
     assert len(faces.triangles_m) > MANY
     angles_rad = np.radians(np.linspace(-8.0, 8.0, rays))
