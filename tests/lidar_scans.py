@@ -47,6 +47,13 @@ def scan_at(T_lidar_target, target=BULKY, frame=0, lidar=LIDAR):
     return scan_of(emulator(target, lidar).scan([T_lidar_target], frame=frame).points_m)
 
 
+def nees(T, found):
+    """Return the squared error of a registration over its covariance."""
+    turn = (found.T_sensor_target.rotation * T.rotation.inv()).as_rotvec()
+    error = np.concatenate((found.T_sensor_target.translation - T.translation, turn))
+    return error @ np.linalg.solve(found.covariance, error)
+
+
 def random_pose(seed, range_m=20.0):
     """Return a target at a range, a little off the boresight, in any attitude."""
     random = np.random.default_rng(seed)

@@ -28,6 +28,10 @@ AMPLITUDE_LEFT_OUT = "amplitude_left_out"
 """Name of the evidence (1) that a camera's amplitude was left out: what is behind the target is bright and
 has no range."""
 
+NOISE_M, STATED_NOISE_M = "range_noise_m", "stated_range_noise_m"
+"""Names of the evidence with the noise of its ranges that a scan shows, m, and with the smaller one that is
+stated or assumed."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rival:

@@ -107,7 +107,7 @@ class SensorBook:
         self._others_s = -WINDOW_S
         self._bus_heard_s: float | None = None
         self._bus_gaps_s: deque[float] = deque(maxlen=9)
-        self._unused: deque[tuple[float, str]] = deque(maxlen=1024)
+        self._told: deque[tuple[float, str]] = deque(maxlen=1024)
 
     @property
     def is_unheard(self) -> bool:
@@ -141,9 +141,9 @@ class SensorBook:
         self.examples[loss.kind] = loss.text
         self._recent.append(_Frame(now_s, loss))
 
-    def leave_out(self, now_s: float, text: str) -> None:
-        """Note why a part of a frame that was used is not."""
-        self._unused.append((now_s, text))
+    def tell(self, now_s: float, text: str) -> None:
+        """Note what the operator must know of a frame that was used, such as a part that is left out."""
+        self._told.append((now_s, text))
 
     def drop(self, now_s: float) -> None:
         """Note a frame that was not processed, because newer ones arrived while the estimator worked."""
@@ -168,7 +168,7 @@ class SensorBook:
         """
         self._others_s = now_s
         if unused:
-            self._unused.append((now_s, unused))
+            self._told.append((now_s, unused))
 
     @property
     def _silent_after_s(self) -> float:
@@ -226,9 +226,9 @@ class SensorBook:
             )
         if known := _joined(self._noted("clock", "drift", "defect"), self._overloaded(now_s)):
             return InputState(Health.WARN, f"{self.name}: {known}")
-        unused = [text for time_s, text in self._unused if now_s - time_s <= WINDOW_S]
-        if len(unused) >= LEAST_FRAMES and 2 * len(unused) > len(self._recent):
-            return InputState(Health.WARN, f"{self.name}: {unused[-1]}")
+        told = [text for time_s, text in self._told if now_s - time_s <= WINDOW_S]
+        if len(told) >= LEAST_FRAMES and 2 * len(told) > len(self._recent):
+            return InputState(Health.WARN, f"{self.name}: {told[-1]}")
         weak = [frame.weak_support for frame in self._recent if frame.weak_support]
         begins, ends = self._limits.max_beginning_share, self._limits.max_contradicted_share
         if len(weak) > max(1.0, begins * len(self._recent)):

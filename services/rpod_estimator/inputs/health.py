@@ -18,7 +18,7 @@ from rpod_estimator.inputs.book import (
     unused,
 )
 from rpod_estimator.inputs.refusals import Refusals
-from rpod_pose.belief import AMPLITUDE_LEFT_OUT
+from rpod_pose.belief import AMPLITUDE_LEFT_OUT, NOISE_M, STATED_NOISE_M
 from rpod_pose.navigation.state import Cause, Output
 from rpod_runtime.assembler import GivenUp
 from rpod_runtime.delivery.holders import Peer
@@ -37,6 +37,10 @@ _BRIGHT_BEYOND = (
     "its amplitude is not used, poses come from depth alone: what has no range is as bright as the target; "
     "let the driver publish the ranges of what is behind the target, cover it, or leave the amplitude out of "
     "source.topics"
+)
+_NOISIER = (
+    "its ranges have a noise of {:.2g} m, not of {:.2g} m as stated or assumed; poses have the larger one; "
+    "state it as sigma_range_m of lidar/info, or of the sensor in the estimator's configuration"
 )
 _PERIOD_S = 1.0
 """Time between two updates of the diagnostics."""
@@ -92,7 +96,10 @@ class InputHealth:
         if status.accepted:
             book.use(now_s, output.weak_support)
             if AMPLITUDE_LEFT_OUT in status.evidence:
-                book.leave_out(now_s, _BRIGHT_BEYOND)
+                book.tell(now_s, _BRIGHT_BEYOND)
+            if NOISE_M in status.evidence:
+                noises = status.evidence[NOISE_M], status.evidence[STATED_NOISE_M]
+                book.tell(now_s, _NOISIER.format(*noises))
         else:
             kind = SEARCHING if output.cause is Cause.SLOW_SEARCH else REJECTED
             book.lose(Loss(arrived.refused or kind, output.why), now_s)

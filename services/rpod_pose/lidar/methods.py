@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rpod_geometry.rays import cast
 from rpod_pose.lidar.deskew import deskewed
 from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.noisy_ranges import NoisyScanSearch, NoisyScanTracker
 from rpod_pose.lidar.paper_2015.icp_nearest_neighbour import NearestNeighbourIcp
 from rpod_pose.lidar.paper_2015.template_matching import OnlineTemplateMatching
 from rpod_pose.lidar.projective_icp import ProjectiveIcp
@@ -30,7 +32,7 @@ from rpod_target import Target
 
 def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
     """Return the facility's own search."""
-    return GlobalSearch(config, task.target, task.setup)
+    return NoisyScanSearch(partial(GlobalSearch, config, task.target), task.setup)
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
@@ -42,7 +44,7 @@ def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[Li
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
     """Return the facility's own tracker."""
-    return ProjectiveIcp(config, task.target, task.setup)
+    return NoisyScanTracker(partial(ProjectiveIcp, config, task.target), task.setup)
 
 
 def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:

@@ -1,5 +1,6 @@
-"""Sums over the residuals of neighbouring returns, which test the target's model (``ScanModel.misfit``)."""
+"""Residuals of neighbouring returns: a test of the target's model (``ScanModel.misfit``), and their noise."""
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,21 @@ from rpod_schemas.types import Float32Array
 BESIDE, RETURNED = 1, 2
 """Flags of a ray: more than one ray away from the target's outline; its return has a residual.
 Numerics: a bit each."""
+
+OF_MEDIAN = 1.4826
+"""Standard deviation over the median of the absolute values. Physics: for normal errors."""
+SCATTER = 1.16
+"""Relative standard deviation of an estimate by this median, times the root of the number of values. Physics:
+for normal errors, of which it uses 37 %."""
+SURE = 2.5
+"""Standard deviations by which an estimate must be beyond its limit. Physics: one in 160 normal errors is."""
+NOISIER = sqrt(2.0)
+"""Least noise over the assumed one that counts as another. Numerics: twice the variance."""
+MOST_SHARED = 0.25
+"""Largest correlation of neighbours' residuals at which they are noise. Hand: a wrong pose or a wrong model
+has 0.3 to 0.9, noise has 0; a larger limit accepts wrong poses of scans with a wrong sigma."""
+CLIP = 4.0
+"""Limit of a residual, in standard deviations, for this correlation. Numerics: outliers do not decide."""
 
 
 class NeighbourSums(NamedTuple):
@@ -84,3 +100,59 @@ def _is_beside(triangle: NDArray[np.int32], i: int, j: int) -> bool:
             if triangle[k, n] >= 0:
                 return False
     return True
+
+
+@kernel
+def noise_over(
+    range_m: FloatArray, shown_m: Float32Array, triangle: NDArray[np.int32], sigma_m: float
+) -> float:
+    """Return the noise of the ranges over the assumed one; 1 where the residuals show no larger noise.
+
+    The noise of two pulses is independent. What neighbours share is an error of the pose or of the model, so
+    that residuals with a correlation are no noise.
+
+    Args:
+        range_m: measured ranges, 0 without a return, shape (rows, columns).
+        shown_m: ranges of the target at a pose, same shape.
+        triangle: index of the triangle that each ray meets, -1 for none, same shape.
+        sigma_m: assumed standard deviation of a range.
+    """
+    rows, columns = triangle.shape
+    residual_m, sizes_m, count = np.full((rows, columns), np.nan), np.empty(triangle.size), 0
+    for i in range(rows):
+        for j in range(columns):
+            if triangle[i, j] >= 0 and range_m[i, j] > 0.0:
+                residual_m[i, j] = range_m[i, j] - shown_m[i, j]
+                sizes_m[count] = abs(residual_m[i, j])
+                count += 1
+    if count == 0:
+        return 1.0
+    noise_m = OF_MEDIAN * np.median(sizes_m[:count])
+    if not noise_m * (1.0 - SURE * SCATTER / sqrt(count)) > NOISIER * sigma_m:
+        return 1.0
+    shared, pairs = _shared(residual_m, CLIP * noise_m)
+    independent = pairs > 0 and shared <= MOST_SHARED - 1.0 / sqrt(pairs)
+    return noise_m / sigma_m if independent else 1.0
+
+
+@inner_kernel
+def _shared(residual_m: FloatArray, limit_m: float) -> tuple[float, int]:
+    """Return the correlation of neighbours' residuals, and the number of pairs.
+
+    Args:
+        residual_m: residuals, NaN where there is none, shape (rows, columns).
+        limit_m: limit of a residual.
+    """
+    rows, columns = residual_m.shape
+    products, pairs, squares, count = 0.0, 0, 0.0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if np.isnan(residual_m[i, j]):
+                continue
+            own = min(max(residual_m[i, j], -limit_m), limit_m)
+            squares, count = squares + own * own, count + 1
+            for k, n in ((i, j + 1), (i + 1, j)):
+                if k < rows and n < columns and not np.isnan(residual_m[k, n]):
+                    products += own * min(max(residual_m[k, n], -limit_m), limit_m)
+                    pairs += 1
+    return (products / pairs) / (squares / count) if pairs > 0 and squares > 0.0 else 0.0, pairs

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rpod_geometry.windows import window_around
 from rpod_pose.belief import Belief, PixelMarks, contradicted
 from rpod_pose.cancellation import stop_if_cancelled
-from rpod_pose.lidar.neighbour_residuals import neighbour_sums
+from rpod_pose.lidar.neighbour_residuals import neighbour_sums, noise_over
 from rpod_pose.lidar.posterior.sampled_posterior import (
     Proposal,
     SampledPosterior,
@@ -240,7 +240,8 @@ class ScanModel:
         cast_faces(seen.grid.arrays, self._faces, R, t, hits.arrays)
         sums = neighbour_sums(seen.range_m, hits.range_m, hits.triangle, _LIMIT * self.sigma_range_m)
         expected_m2 = self._uneven_m**2 * sums.products + sums.chance_m2
-        return Misfit(sums.product_m2 - expected_m2, sums.squares_m4)
+        noise = noise_over(seen.range_m, hits.range_m, hits.triangle, self.sigma_range_m)
+        return Misfit(sums.product_m2 - expected_m2, sums.squares_m4, noise)
 
     def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
         """Return the numbers from which the belief in a fit follows.

@@ -1,10 +1,11 @@
 """The pose of a target in one scan by a single function, for notebooks and scripts."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.noisy_ranges import NoisyScanSearch
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.ports import Acquisition
 from rpod_schemas.config.lidar.search import GlobalSearchConfig
@@ -52,7 +53,7 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
 
 
 @lru_cache(maxsize=8)
-def _search(target: Target, angles: tuple[bytes, ...], sigma_range_m: float) -> GlobalSearch:
+def _search(target: Target, angles: tuple[bytes, ...], sigma_range_m: float) -> NoisyScanSearch:
     azimuth_rad, elevation_rad, *aside_rad = map(np.frombuffer, angles)
     pattern = ScanPattern(azimuth_rad, elevation_rad, sigma_range_m, *aside_rad)
-    return GlobalSearch(GlobalSearchConfig(), target, pattern)
+    return NoisyScanSearch(partial(GlobalSearch, GlobalSearchConfig(), target), pattern)

@@ -7,7 +7,7 @@ import pytest
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, SEARCHING, Loss, SensorBook, unpaired
 from rpod_estimator.inputs.health import InputHealth
-from rpod_pose.belief import AMPLITUDE_LEFT_OUT
+from rpod_pose.belief import AMPLITUDE_LEFT_OUT, NOISE_M, STATED_NOISE_M
 from rpod_pose.navigation.state import Cause, Output
 from rpod_runtime.assembler import Assembler
 from rpod_runtime.health import HealthBook
@@ -139,20 +139,25 @@ def test_a_search_that_takes_long_is_no_error_and_a_frame_that_is_not_searched_i
     assert counted.counters().get("dropped/pmd", 0) == dropped
 
 
+LEFT_OUT = {AMPLITUDE_LEFT_OUT: 1.0}, "its amplitude is not used"
+NOISY = {NOISE_M: 0.08, STATED_NOISE_M: 0.02}, "its ranges have a noise of 0.08 m, not of 0.02 m as stated"
+
+
 @pytest.mark.parametrize(("every", "level"), [(1, Health.WARN), (3, Health.OK)])
-def test_an_amplitude_that_is_left_out_of_most_frames_is_told_although_they_are_used(every, level):
+@pytest.mark.parametrize(("told", "words"), [LEFT_OUT, NOISY])
+def test_what_most_frames_tell_is_told_although_they_are_used(told, words, every, level):
     health, now_s = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0), 0.0
     for number in range(30):
         now_s += 1.0 / 8.0
         health.books["pmd"].note_arrival(now_s)
-        evidence = {AMPLITUDE_LEFT_OUT: 1.0} if number % every == 0 else {}
+        evidence = told if number % every == 0 else {}
         status = EstimatorStatus(
             stamp_ns=number, frame_id="chaser", mode=Mode.TRACKING, accepted=True, evidence=evidence
         )
         health.judge(Arrived("pmd", number, now_s, None), Output(status, None), now_s)
     state = health.books["pmd"].state(now_s)
     assert state.level == level
-    assert ("its amplitude is not used" in state.text) == (level == Health.WARN)
+    assert (words in state.text) == (level == Health.WARN)
 
 
 @pytest.mark.parametrize(("shift_ns", "level"), [(0, Health.OK), (5_000_000, Health.WARN)])

@@ -7,6 +7,7 @@ from lidar_scans import (
     LIDAR,
     errors,
     load,
+    nees,
     off,
     random_pose,
     scan_at,
@@ -160,13 +161,6 @@ def test_a_plate_larger_than_the_field_of_view_is_free_to_slide_and_says_so():
     found = tracker().finish(seen, T.rotation.as_matrix(), T.translation)
     assert np.isfinite(found.covariance).all()
     assert np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]) <= 1.01 * load(BULKY).radius_m
-
-
-def nees(T, found):
-    """Return the squared error of a registration over its covariance."""
-    turn = (found.T_sensor_target.rotation * T.rotation.inv()).as_rotvec()
-    error = np.concatenate((found.T_sensor_target.translation - T.translation, turn))
-    return error @ np.linalg.solve(found.covariance, error)
 
 
 def test_a_pose_that_slid_along_faces_until_a_return_met_none_is_found_by_the_outline():

@@ -1,0 +1,108 @@
+"""Methods for scans whose ranges are noisier than the sensor states.
+
+A method assumes the noise that the sensor states. If it is too small, right poses are refused, since their
+returns seem to contradict them, and the covariance of others is too small. The residuals at the pose found
+show the noise, since neighbouring returns do not share it (``neighbour_residuals``). The method is then
+repeated with the noise that they show.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import log2, sqrt
+from typing import Generic, TypeVar
+
+from scipy.spatial.transform import RigidTransform
+
+from rpod_pose.belief import NOISE_M, STATED_NOISE_M
+from rpod_pose.lidar.global_search import GlobalSearch
+from rpod_pose.lidar.projective_icp import ProjectiveIcp
+from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.ports import Acquisition, Registration
+from rpod_schemas.arrays import FloatArray
+from rpod_schemas.types import LidarScan
+
+STEPS = 3
+"""Largest number of repetitions. Numerics: a budget; the first one mostly finds the noise."""
+MOST = 8
+"""Largest number of factors sqrt(2) on the noise. Numerics: 16 times; with more, scans are refused."""
+
+MethodT = TypeVar("MethodT", ProjectiveIcp, GlobalSearch)
+ResultT = TypeVar("ResultT", Registration, Acquisition)
+
+
+class _AtNoise(Generic[MethodT]):
+    """A method for the stated noise, and the same one for larger noise.
+
+    Args:
+        make: function that returns the method for a pattern.
+        pattern: directions of the sensor's rays, and the noise that it states.
+    """
+
+    def __init__(self, make: Callable[[ScanPattern], MethodT], pattern: ScanPattern) -> None:
+        self._make, self._pattern = make, pattern
+        self._methods = {0: make(pattern)}
+
+    def _at(self, step: int) -> MethodT:
+        """Return the method for the assumed noise times a power of sqrt(2)."""
+        if step not in self._methods:
+            sigma_m = self._pattern.assumed_sigma_m * sqrt(2.0) ** step
+            self._methods[step] = self._make(replace(self._pattern, sigma_range_m=sigma_m))
+        return self._methods[step]
+
+    def _found(
+        self, call: Callable[[MethodT], ResultT], registration: Callable[[ResultT], Registration]
+    ) -> tuple[ResultT, float]:
+        """Return the result of a call with the noise that the scan shows, and this noise, m; 0 as stated."""
+        first, step = call(self._at(0)), 0
+        found = first
+        for _ in range(STEPS):
+            misfit = registration(found).misfit
+            if misfit is None or misfit.noise <= 1.0 or step == MOST:
+                break
+            step = min(step + max(1, round(2.0 * log2(misfit.noise))), MOST)
+            found = call(self._at(step))
+        if step == 0 or not registration(found).continues_track:
+            return first, 0.0
+        return found, self._pattern.assumed_sigma_m * sqrt(2.0) ** step
+
+    def _told(self, found: Registration, noise_m: float) -> Registration:
+        """Return a registration whose evidence has the noise, m, if it is not as stated."""
+        if not noise_m:
+            return found
+        evidence = {**found.belief.evidence, NOISE_M: noise_m, STATED_NOISE_M: self._pattern.assumed_sigma_m}
+        return replace(found, belief=replace(found.belief, evidence=evidence))
+
+
+class NoisyScanTracker(_AtNoise[ProjectiveIcp]):
+    """Registers scans with the noise that they show: ports.Tracker[LidarScan]; arguments as above."""
+
+    def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
+        """Return the registration from a predicted pose, or the reason why the scan gives none."""
+        found, noise_m = self._found(lambda tracker: tracker.track(measurement, T_sensor_target), _itself)
+        return self._told(found, noise_m)
+
+
+class NoisyScanSearch(_AtNoise[GlobalSearch]):
+    """Finds the target in scans with the noise that they show: ports.ComparingAcquirer[LidarScan]."""
+
+    def acquire(self, measurement: LidarScan) -> Acquisition:
+        """Return the likeliest pose with its belief, and the other poses that explain the scan."""
+        return self._searched(lambda search: search.acquire(measurement))
+
+    def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
+        """Return the likeliest pose near a given one."""
+        return self._searched(lambda search: search.near(measurement, T_sensor_target))
+
+    def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
+        """Return the log likelihoods of a scan near registered poses, (N,), with their largest noise."""
+        stated_m = self._pattern.assumed_sigma_m
+        noise = max((each.belief.evidence.get(NOISE_M, stated_m) for each in found), default=stated_m)
+        return self._at(round(2.0 * log2(noise / stated_m))).log_likelihoods(measurement, found)
+
+    def _searched(self, call: Callable[[GlobalSearch], Acquisition]) -> Acquisition:
+        found, noise_m = self._found(call, lambda acquisition: acquisition.registration)
+        return replace(found, registration=self._told(found.registration, noise_m))
+
+
+def _itself(found: Registration) -> Registration:
+    return found
