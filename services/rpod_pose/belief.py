@@ -29,8 +29,8 @@ AMPLITUDE_LEFT_OUT = "amplitude_left_out"
 has no range."""
 
 NOISE_M, STATED_NOISE_M = "range_noise_m", "stated_range_noise_m"
-"""Names of the evidence with the noise of its ranges that a scan shows, m, and with the smaller one that is
-stated or assumed."""
+"""Names of the evidence with the noise of its ranges that a scan shows, m, and with the one that is stated or
+assumed; poses have the larger one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ class Misfit:
     variance: float
     """Variance of the value if model and pose are right."""
     noise: float = 1.0
-    """Noise of the data over the assumed one; 1 where the residuals show no larger noise."""
+    """Noise of the data over the assumed one; 1 where the residuals show no other noise."""
 
 
 @dataclass(frozen=True, eq=False)

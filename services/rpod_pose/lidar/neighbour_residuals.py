@@ -22,7 +22,7 @@ for normal errors, of which it uses 37 %."""
 SURE = 2.5
 """Standard deviations by which an estimate must be beyond its limit. Physics: one in 160 normal errors is."""
 NOISIER = sqrt(2.0)
-"""Least noise over the assumed one that counts as another. Numerics: twice the variance."""
+"""Least ratio of the noise and the assumed one at which they differ. Numerics: twice the variance."""
 MOST_SHARED = 0.25
 """Largest correlation of neighbours' residuals at which they are noise. Hand: a wrong pose or a wrong model
 has 0.3 to 0.9, noise has 0; a larger limit accepts wrong poses of scans with a wrong sigma."""
@@ -106,10 +106,10 @@ def _is_beside(triangle: NDArray[np.int32], i: int, j: int) -> bool:
 def noise_over(
     range_m: FloatArray, shown_m: Float32Array, triangle: NDArray[np.int32], sigma_m: float
 ) -> float:
-    """Return the noise of the ranges over the assumed one; 1 where the residuals show no larger noise.
+    """Return the noise of the ranges over the assumed one; 1 where the residuals show no other noise.
 
     The noise of two pulses is independent. What neighbours share is an error of the pose or of the model, so
-    that residuals with a correlation are no noise.
+    that large residuals with a correlation are no noise.
 
     Args:
         range_m: measured ranges, 0 without a return, shape (rows, columns).
@@ -128,7 +128,10 @@ def noise_over(
     if count == 0:
         return 1.0
     noise_m = OF_MEDIAN * np.median(sizes_m[:count])
-    if not noise_m * (1.0 - SURE * SCATTER / sqrt(count)) > NOISIER * sigma_m:
+    uncertain = SURE * SCATTER / sqrt(count)
+    if noise_m * (1.0 + uncertain) * NOISIER < sigma_m:
+        return noise_m / sigma_m
+    if not noise_m * (1.0 - uncertain) > NOISIER * sigma_m:
         return 1.0
     shared, pairs = _shared(residual_m, CLIP * noise_m)
     independent = pairs > 0 and shared <= MOST_SHARED - 1.0 / sqrt(pairs)

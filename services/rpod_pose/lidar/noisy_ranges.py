@@ -1,9 +1,12 @@
-"""Methods for scans whose ranges are noisier than the sensor states.
+"""Methods for scans whose ranges have another noise than the sensor states.
 
 A method assumes the noise that the sensor states. If it is too small, right poses are refused, since their
 returns seem to contradict them, and the covariance of others is too small. The residuals at the pose found
 show the noise, since neighbouring returns do not share it (``neighbour_residuals``). The method is then
 repeated with the noise that they show.
+
+A smaller noise than the stated one is not assumed: a sensor may state with it the errors that the returns of
+a surface share. It is in the evidence where the sensor states none.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,8 +42,9 @@ class _AtNoise(Generic[MethodT]):
     """
 
     def __init__(self, make: Callable[[ScanPattern], MethodT], pattern: ScanPattern) -> None:
-        self._make, self._pattern = make, pattern
-        self._methods = {0: make(pattern)}
+        self._make: Callable[[ScanPattern], MethodT] = make
+        self._pattern = pattern
+        self._methods: dict[int, MethodT] = {0: make(pattern)}
 
     def _at(self, step: int) -> MethodT:
         """Return the method for the assumed noise times a power of sqrt(2)."""
@@ -52,21 +56,24 @@ class _AtNoise(Generic[MethodT]):
     def _found(
         self, call: Callable[[MethodT], ResultT], registration: Callable[[ResultT], Registration]
     ) -> tuple[ResultT, float]:
-        """Return the result of a call with the noise that the scan shows, and this noise, m; 0 as stated."""
+        """Return the result of a call, and the noise that the scan shows, m; 0 if it is as assumed."""
         first, step = call(self._at(0)), 0
-        found = first
+        found, stated_m = first, self._pattern.assumed_sigma_m
         for _ in range(STEPS):
             misfit = registration(found).misfit
-            if misfit is None or misfit.noise <= 1.0 or step == MOST:
+            noise = 1.0 if misfit is None else misfit.noise
+            if noise <= 1.0 or step == MOST:
                 break
-            step = min(step + max(1, round(2.0 * log2(misfit.noise))), MOST)
+            step = min(step + max(1, round(2.0 * log2(noise))), MOST)
             found = call(self._at(step))
+        if step == 0 and noise < 1.0 and not self._pattern.sigma_range_m:
+            return first, stated_m * noise
         if step == 0 or not registration(found).continues_track:
             return first, 0.0
-        return found, self._pattern.assumed_sigma_m * sqrt(2.0) ** step
+        return found, stated_m * sqrt(2.0) ** step
 
     def _told(self, found: Registration, noise_m: float) -> Registration:
-        """Return a registration whose evidence has the noise, m, if it is not as stated."""
+        """Return a registration whose evidence has the noise, m, if it is not as assumed."""
         if not noise_m:
             return found
         evidence = {**found.belief.evidence, NOISE_M: noise_m, STATED_NOISE_M: self._pattern.assumed_sigma_m}
@@ -96,8 +103,8 @@ class NoisyScanSearch(_AtNoise[GlobalSearch]):
     def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a scan near registered poses, (N,), with their largest noise."""
         stated_m = self._pattern.assumed_sigma_m
-        noise = max((each.belief.evidence.get(NOISE_M, stated_m) for each in found), default=stated_m)
-        return self._at(round(2.0 * log2(noise / stated_m))).log_likelihoods(measurement, found)
+        noise_m = max([stated_m, *(each.belief.evidence.get(NOISE_M, 0.0) for each in found)])
+        return self._at(round(2.0 * log2(noise_m / stated_m))).log_likelihoods(measurement, found)
 
     def _searched(self, call: Callable[[GlobalSearch], Acquisition]) -> Acquisition:
         found, noise_m = self._found(call, lambda acquisition: acquisition.registration)

@@ -56,6 +56,19 @@ def test_a_sensor_that_states_its_noise_rightly_or_too_large_is_taken_at_its_wor
             assert NOISE_M not in found.belief.evidence
 
 
+def test_a_small_noise_is_told_but_not_assumed_where_the_sensor_states_none():
+    truth, pattern = random_pose(1), replace(ScanPattern.of(LIDAR.info()), sigma_range_m=0.0)
+    icp = ProjectiveIcp(ProjectiveIcpConfig(), load(BULKY), pattern)
+    quiet = LIDAR.model_copy(update={"noise": LIDAR.noise.model_copy(update={"sigma_range_m": 0.01})})
+    scan = scan_at(truth, lidar=quiet)
+    found = NoisyScanTracker(partial(ProjectiveIcp, ProjectiveIcpConfig(), load(BULKY)), pattern).track(
+        scan, truth
+    )
+    assert found.belief.evidence[NOISE_M] == pytest.approx(0.01, rel=0.2)
+    assert found.belief.evidence[STATED_NOISE_M] == pattern.assumed_sigma_m
+    assert np.array_equal(found.covariance, icp.track(scan, truth).covariance)
+
+
 def test_a_wrong_pose_is_not_taken_for_noise():
     icp = noisy_tracker(1.0)
     for seed in range(8):
