@@ -31,8 +31,11 @@ from rpod_target import Target
 
 
 def global_search(config: GlobalSearchConfig, task: Task) -> Acquirer[LidarScan]:
-    """Return the facility's own search."""
-    return NoisyScanSearch(partial(GlobalSearch, config, task.target), task.setup)
+    """Return the facility's own search; noise that tuning gives is taken as it is."""
+    make = partial(GlobalSearch, config, task.target)
+    return (
+        make(task.setup) if config.tracking.tuning.model.sigma_range_m else NoisyScanSearch(make, task.setup)
+    )
 
 
 def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[LidarScan]:
@@ -43,8 +46,9 @@ def template_matching(config: TemplateMatchingConfig, task: Task) -> Acquirer[Li
 
 
 def projective_point_to_plane(config: ProjectiveIcpConfig, task: Task) -> Tracker[LidarScan]:
-    """Return the facility's own tracker."""
-    return NoisyScanTracker(partial(ProjectiveIcp, config, task.target), task.setup)
+    """Return the facility's own tracker; noise that tuning gives is taken as it is."""
+    make = partial(ProjectiveIcp, config, task.target)
+    return make(task.setup) if config.tuning.model.sigma_range_m else NoisyScanTracker(make, task.setup)
 
 
 def icp_nearest_neighbour(config: IcpNearestNeighbourConfig, task: Task) -> Tracker[LidarScan]:
