@@ -45,6 +45,12 @@ ROUNDS, REFINED = 3, 6
 """Largest number of rounds along weakly determined motions, and of poses that are refined in each. Numerics:
 a budget of computation."""
 
+CUT_OFF = (
+    "the target extends beyond the field of view, and the scan fits it only with larger errors than sensor "
+    "and target state; begin where all of it is in view, or give the pose"
+)
+"""Reason why a pose cannot begin a track: rays that could contradict a wrong one are not measured."""
+
 
 class GlobalSearch:
     """Finds the target in a scan: ports.Acquirer[LidarScan].
@@ -232,6 +238,8 @@ class GlobalSearch:
                 registration.covariance, rotation_matrix(registration.T_sensor_target), 0.0
             )
             vague = undetermined(covariance, max_sigma_m=np.inf, max_sigma_deg=self._tuning.max_sigma_deg)
+            if whole.cut_off and not search.scanner.statistics.explains(search.seen, poses[0].fit):
+                vague = vague or CUT_OFF
             belief = replace(belief, insufficient=belief.insufficient or vague)
             logs = np.array([pose.log_mass(self._radius_m) for pose in poses])
             least = self._tuning.few_weight if search.few else self._tuning.ambiguous_weight

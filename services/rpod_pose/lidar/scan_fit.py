@@ -174,6 +174,10 @@ class ScanModel:
         )
         return self._marked(contradicted(reason, **evidence), seen, R, missing=rays.missing >= 1.0)
 
+    def explains(self, seen: SeenScan, fit: ScanFit) -> bool:
+        """Return whether a fit explains a scan with errors as large as sensor and target state."""
+        return self._explains(self._evidence(fit, seen.returns))
+
     def without_false_returns(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> SeenScan | None:
         """Return a scan without its false returns if a pose explains it then, otherwise None.
 

@@ -8,6 +8,7 @@ from lidar_scans import (
     BULKY,
     DENSE,
     LIDAR,
+    emulator,
     errors,
     load,
     off,
@@ -316,3 +317,14 @@ def test_of_two_poses_that_explain_a_scan_alike_the_less_exact_one_is_more_proba
     assert vague.log_mass(10.0) - exact.log_mass(10.0) == pytest.approx(3.0 * np.log(100.0), abs=0.01)
     nothing = Pose(np.eye(3), np.zeros(3), fit, np.zeros((6, 6)))
     assert np.isfinite(nothing.log_mass(10.0))
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_pose_begins_no_track_where_the_target_fills_the_view_and_the_scan_is_unlikely(seed):
+    name = "random-derive-65-4"
+    turn = Rotation.random(rng=np.random.default_rng(seed))
+    T = make_pose(rotation=turn, translation_m=(0.0, 0.0, 0.75 * load(name).radius_m))
+    found = search(name).acquire(scan_of(emulator(name).scan([T], frame=1).points_m))
+    assert np.linalg.norm(found.pose.translation - T.translation) > 1.0
+    assert not found.begins_track
+    assert "the target extends beyond the field of view" in found.belief.refusal
