@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from rpod_estimator.inputs.repeated_lines import RepeatedLines
 from rpod_estimator.setup_check import Setup, SetupCheck
 from rpod_pose.measurement import Measurement
 from rpod_pose.pmd.camera_check import CameraCheck
@@ -104,6 +105,8 @@ class _Sensor:
     """Bytes of the leading part of the last frame, after its stamp."""
     repeats: int = 0
     """Number of successive frames with this content, after the first one."""
+    lines: RepeatedLines = field(default_factory=RepeatedLines)
+    """Lines of its last frames."""
 
 
 class FrameReader:
@@ -271,14 +274,18 @@ class FrameReader:
         """
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
-        if not repeats or not _shows_something(measurement.data):
+        again, is_torn = ("", False) if repeats else self._sensors[sensor].lines.found(measurement.data)
+        if is_torn:
+            error = MessageRejectedError(Reason.FROZEN, again)
+            arrived = Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
+        elif not repeats or not _shows_something(measurement.data):
             reader = self._sensors[sensor].reader
             defect, unused = _defect(measurement.data)
             if unused in type(measurement.data).model_fields:
                 measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
             lens = measurement.data.lens
             oblong = "" if lens is None else _oblong(lens)
-            defect = "; ".join(filter(None, (defect, oblong, reader.inconsistency)))
+            defect = "; ".join(filter(None, (again, defect, oblong, reader.inconsistency)))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=reader.hint)
         else:
             text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
