@@ -285,7 +285,8 @@ class FrameReader:
                 measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
             lens = measurement.data.lens
             oblong = "" if lens is None else _oblong(lens)
-            defect = "; ".join(filter(None, (again, defect, oblong, reader.inconsistency)))
+            told = (again, _negative(measurement.data), defect, oblong, reader.inconsistency)
+            defect = "; ".join(filter(None, told))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=reader.hint)
         else:
             text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
@@ -320,6 +321,20 @@ def _shows_something(data: SensorFrame) -> bool:
     if data.images:
         return bool(np.isfinite(data.images[0].values).any())
     return len(data.returns_m) > 0
+
+
+def _negative(data: SensorFrame) -> str:
+    """Return how many distances are negative; empty if they have one value, which may stand for none."""
+    if not data.images:
+        return ""
+    values = data.images[0].values
+    negative = values[np.isfinite(values) & (values < 0.0)]
+    if not negative.size or (negative == negative[0]).all():
+        return ""
+    return (
+        f"{negative.size} pixels have a negative {data.images[0].title}, down to {negative.min():.3g} m, and "
+        "are not used; correct its driver, which should send NaN where nothing is measured"
+    )
 
 
 def _oblong(lens: Camera) -> str:

@@ -394,6 +394,6 @@ class Navigator:
         if not state.mode.has_track or silent_s <= self._limits.silence_timeout_s:
             return state, None
         state, reason = self._coasting.aged(state, tick.stamp_ns)
-        reason = reason or f"no frame for {silent_s:.1f} s"
+        reason = reason or f"no usable frame for {silent_s:.1f} s"
         state, output = self._results.silent(state, tick.stamp_ns, reason)
         return state, self._coasting.judged(state, output)

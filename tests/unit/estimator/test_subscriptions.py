@@ -243,6 +243,21 @@ def test_an_amplitude_of_zeros_is_a_doubt_where_many_pixels_have_a_range():
     )
 
 
+@pytest.mark.parametrize(
+    ("pixels", "told"),
+    [({}, ""), ({2: -1.0, 3: -1.0}, ""), ({2: -1.0, 3: -2.5}, "2 pixels have a negative depth")],
+)
+def test_negative_distances_are_told_unless_one_value_stands_for_none(pixels, told):
+    bench, depth_m = Bench(), DEPTH_M.copy()
+    depth_m.flat[list(pixels)] = list(pixels.values())
+    bench.send(CAMERA_INFO.of("pmd"), write_camera(NOW_NS, "pmd_optical", CAMERA))
+    bench.send(DEPTH.of("pmd"), write_image(NOW_NS, "pmd_optical", depth_m, "32FC1"))
+    (arrived,) = [*bench.arrived(), *bench.inputs.rest()][:1]
+    assert arrived.measurement is not None
+    assert told in arrived.defect
+    assert bool(told) == bool(arrived.defect)
+
+
 def test_scans_without_any_return_are_alike_and_not_frozen():
     bench = lidar_bench()
     nothing = {name: np.full((2, 3), np.nan, np.float32) for name in CLOUD}
