@@ -30,18 +30,20 @@ moves a pose by at most this share of the motion: by 1.5 mm of the default alert
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines of one frame: digest of each (empty without a value), and the number of its values."""
+    """Lines of one frame: digest of each, 0 for one without a value, and the number of its values."""
 
-    digests: tuple[bytes, ...]
+    digests: NDArray[np.uint64]
     sizes: NDArray[np.int64]
 
 
 class RepeatedLines:
-    """Compares the frames of one sensor with its last ones, by rows and by columns."""
+    """Compares the frames of one sensor with its last ones: images by rows, scans by columns too."""
 
     def __init__(self) -> None:
-        self._names = ("rows", "columns")
-        self._earlier: tuple[deque[_Lines], ...] = (deque(maxlen=_FRAMES), deque(maxlen=_FRAMES))
+        self._earlier: dict[str, deque[_Lines]] = {
+            "rows": deque(maxlen=_FRAMES),
+            "columns": deque(maxlen=_FRAMES),
+        }
         self._last = np.zeros((0, 0), np.float32)
 
     def found(self, data: SensorFrame) -> tuple[str, bool]:
@@ -51,21 +53,17 @@ class RepeatedLines:
         """
         image = data.range_image_m
         if image is None or image.shape != self._last.shape:
-            for each in self._earlier:
+            for each in self._earlier.values():
                 each.clear()
         if image is None:
             return "", False
-        texts = []
-        for axis, (name, earlier) in enumerate(zip(self._names, self._earlier, strict=True)):
-            turned = np.ascontiguousarray(image if axis == 0 else image.T)
-            lines = _lines_of(turned)
-            if earlier and (again := self._again(lines, turned, axis)) is not None:
-                texts.append((*again, name))
-            earlier.appendleft(lines)
+        found = [self._taken("rows", image, self._last)]
+        if data.lens is None:  # an imager is read out by rows
+            found.append(self._taken("columns", image.T, self._last.T))
         self._last = image
-        if not texts:
+        share, number, back, name = max(found)
+        if not number:
             return "", False
-        share, number, back, name = max(texts)
         of_what = "the frame before" if back == 1 else f"the frame {back} before it"
         text = (
             f"{number} of its {name} ({share:.0%} of its values) are those of {of_what}, to the bit: a "
@@ -74,37 +72,37 @@ class RepeatedLines:
         )
         return text, share > _MOST_SHARE
 
-    def _again(self, lines: _Lines, image: NDArray[np.float32], axis: int) -> tuple[float, int, int] | None:
-        """Return the share of values that repeat, the number of lines, and how many frames before."""
-        earlier = self._earlier[axis]
-        chance = _chance(image, self._last if axis == 0 else self._last.T, _equal(lines, earlier[0]))
+    def _taken(
+        self, name: str, image: NDArray[np.float32], last: NDArray[np.float32]
+    ) -> tuple[float, int, int, str]:
+        """Return the share of values that repeat, the number of lines, how many frames before, and the name.
+
+        The lines are the rows of the images, shape (lines, values), and are kept for later frames.
+        """
+        lines, earlier = _lines_of(np.ascontiguousarray(image)), self._earlier[name]
+        before = list(earlier)
+        earlier.appendleft(lines)
+        if not before or not lines.sizes.any():
+            return 0.0, 0, 0, name
+        same = (np.stack([each.digests for each in before]) == lines.digests) & (lines.sizes > 0)
+        if not same.any():
+            return 0.0, 0, 0, name
         tried = np.log(len(lines.sizes) * _FRAMES)  # lines, and frames with which each is compared
-        best: tuple[float, int, int] | None = None
-        for back, before in enumerate(earlier, 1):
-            same = _equal(lines, before)
-            evidence = np.maximum(-np.log(chance) * lines.sizes[same] - tried, 0.0)
-            if evidence.sum() > _LEAST_EVIDENCE:
-                share = float(lines.sizes[same].sum() / lines.sizes.sum())
-                if best is None or share > best[0]:
-                    best = share, int(same.sum()), back
-        return best
+        surprise = -np.log(_chance(image, last, same[0]))
+        evidence = same @ np.maximum(surprise * lines.sizes - tried, 0.0)
+        values = np.where(evidence > _LEAST_EVIDENCE, same @ lines.sizes, 0)
+        back = int(np.argmax(values))
+        number = int(same[back].sum()) if values[back] else 0
+        return float(values[back] / lines.sizes.sum()), number, back + 1, name
 
 
 def _lines_of(image: NDArray[np.float32]) -> _Lines:
     sizes = np.count_nonzero(image, axis=1)
-    return _Lines(
-        tuple(
-            blake2b(line.data, digest_size=8).digest() if size else b""
-            for line, size in zip(image, sizes, strict=True)
-        ),
-        sizes,
+    digests = b"".join(
+        blake2b(line, digest_size=8).digest() if size else bytes(8)
+        for line, size in zip(image, sizes.tolist(), strict=True)
     )
-
-
-def _equal(lines: _Lines, others: _Lines) -> NDArray[np.bool_]:
-    """Return which lines have values and equal those of another frame, shape (lines,)."""
-    pairs = zip(lines.digests, others.digests, strict=True)
-    return np.array([bool(one) and one == other for one, other in pairs])
+    return _Lines(np.frombuffer(digests, np.uint64), sizes)
 
 
 def _chance(image: NDArray[np.float32], last: NDArray[np.float32], repeated: NDArray[np.bool_]) -> float:
