@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_motion.attitude import integrate_tumble
 from rpod_motion.imu import Imu
 from rpod_motion.motion import MARGIN_S, Motion
+from rpod_motion.thrust import Thrusters
 from rpod_motion.trajectories.approach import Approach
 from rpod_motion.trajectories.station_keeping import StationKeeping
 from rpod_motion.trajectories.synchronised import Slewing
@@ -25,7 +26,7 @@ from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.config.estimator.filter import FilterConfig, FilterTuning
-from rpod_schemas.config.motion import ImuNoiseConfig
+from rpod_schemas.config.motion import CommandErrorConfig, ImuNoiseConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_target import Target
 
@@ -67,6 +68,7 @@ class Course:
     in_orbit: bool = False
     """Whether the chaser is on a safety ellipse about the target; otherwise both drift apart on a line."""
     imu: ImuNoiseConfig | None = None
+    commands: CommandErrorConfig | None = None
     filter: FilterConfig = FREE_FLIGHT
 
     def assumed(self) -> Target:
@@ -103,6 +105,7 @@ class Result:
     state: FilterState = field(repr=False)
     """State after the last measurement."""
     imu: Imu | None = None
+    thrusters: Thrusters | None = None
 
 
 class SlewingOnce(Slewing):
@@ -118,12 +121,14 @@ def fly(course: Course, seed: int) -> Result:
     """Return the errors of a track; the seed chooses attitude, axis, noise and biases."""
     generator = np.random.default_rng((seed, 17))
     motion = _motion(course, generator)
-    imu = None
+    imu = thrusters = None
+    centre_m = course.target.centre_of_mass_m
     if course.imu is not None:
-        centre_m = course.target.centre_of_mass_m
         imu = Imu(course.imu, motion, centre_of_mass_m=centre_m, seed=seed)
+    if course.commands is not None:
+        thrusters = Thrusters(course.commands, motion, centre_of_mass_m=centre_m, seed=seed)
     dynamics = Dynamics.of(DynamicsConfig.model_validate(course.dynamics), course.assumed())
-    feed = _Feed(dynamics, imu)
+    feed = _Feed(dynamics, imu, thrusters)
     state, offs, squares, refused = None, [], [], 0
     for number in range(round(course.tracked_s * course.scans_hz) + 1):
         time_s = number / course.scans_hz
@@ -164,22 +169,31 @@ def fly(course: Course, seed: int) -> Result:
         worst_m=float(np.linalg.norm(settled[:, :3], axis=1).max()),
         state=state,
         imu=imu,
+        thrusters=thrusters,
     )
 
 
 class _Feed:
-    """Passes the readings of the IMU to the track, as far as time has come."""
+    """Passes readings of the IMU and commands to the track, as far as time has come."""
 
-    def __init__(self, dynamics: Dynamics, imu: Imu | None) -> None:
-        self._dynamics, self._imu, self._next = dynamics, imu, 0
+    def __init__(self, dynamics: Dynamics, imu: Imu | None, thrusters: Thrusters | None) -> None:
+        self._dynamics, self._imu, self._thrusters = dynamics, imu, thrusters
+        self._measured = self._commanded = 0
 
     def up_to(self, time_s: float) -> None:
-        while self._imu is not None and self._dynamics.imu is not None:
-            at_s = self._next / self._imu.rate_hz
+        imu, thrusters = self._imu, self._thrusters
+        while imu is not None and self._dynamics.imu is not None:
+            at_s = self._measured / imu.rate_hz
             if at_s > time_s:
                 break
-            self._dynamics.imu.take(self._imu.reading(_stamp(at_s), at_s))
-            self._next += 1
+            self._dynamics.imu.take(imu.reading(_stamp(at_s), at_s))
+            self._measured += 1
+        while thrusters is not None and self._dynamics.commands is not None:
+            at_s = self._commanded / thrusters.rate_hz
+            if at_s > time_s:
+                break
+            self._dynamics.commands.take(thrusters.command(_stamp(at_s), at_s))
+            self._commanded += 1
 
 
 def _motion(course: Course, generator: np.random.Generator) -> Motion:

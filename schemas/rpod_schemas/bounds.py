@@ -103,6 +103,10 @@ MOUNT_M = Bound(0, 200, "m", "no spacecraft is longer", "check the transform on 
 SPEED_M_S = Bound(-1e5, 1e5, "m/s", "three times a comet's speed at Earth")
 RATE_RAD_S = Bound(-1e4, 1e4, "rad/s", "about the rate of the fastest rotors")
 ACCELERATION_M_S2 = Bound(-1e4, 1e4, "m/s2", "a thousand times the weight on Earth")
+COMMAND_M_S2 = Bound(
+    -20.0, 20.0, "m/s2", "twice the weight on Earth: no chaser near a target thrusts harder", "send m/s2"
+)
+COMMAND_VARIANCE = Bound(0, 400.0, "(m/s2)^2", "the square of the largest command", "send a variance")
 VARIANCE = Bound(0, 1e18, "", "the square of the farthest position")
 IRRADIANCE_W_M2 = Bound(0, 1e5, "W/m2", "seventy times the Sun at Earth")
 HYPOTHESES = Bound(0, 1_000, "", "more hypotheses are not a useful result", "send the best")
@@ -138,6 +142,8 @@ BOUNDS: dict[str, Bound] = {
     "Odometry: variances, in their SI units": VARIANCE,
     "Imu: angular velocity, each axis": RATE_RAD_S,
     "Imu: linear acceleration, each axis": ACCELERATION_M_S2,
+    "guidance/command: linear acceleration, each axis": COMMAND_M_S2,
+    "guidance/command: variances, (m/s2)^2": COMMAND_VARIANCE,
     "environment/sun: irradiance": IRRADIANCE_W_M2,
     "EstimatorStatus: number of hypotheses": HYPOTHESES,
     "EstimatorStatus: inlier_share, each weight, their sum": SHARE,

@@ -165,7 +165,7 @@ CONTRADICTION = Topic("estimate/contradiction", _IMAGE)
 VALIDITY = Topic("estimate/validity", "rpod_msgs/msg/EstimateValidity")
 INTEGRITY = Topic("estimate/integrity", "rpod_msgs/msg/Integrity")
 STATUS = Topic("estimate/status", "rpod_msgs/msg/EstimatorStatus")
-COMMAND = Topic("guidance/command", "geometry_msgs/msg/TwistStamped")
+COMMAND = Topic("guidance/command", "geometry_msgs/msg/AccelWithCovarianceStamped")
 IMU = Topic("chaser/imu", "sensor_msgs/msg/Imu")
 BODY = Topic("bodies/<frame>/odometry", "nav_msgs/msg/Odometry")
 FAULTS = Topic("faults", "diagnostic_msgs/msg/DiagnosticArray", latched=True)
@@ -197,7 +197,7 @@ SENT_BY: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((ESTIMATE.name, ESTIMATE_POSE.name, ESTIMATE_FRAME.name), ("estimator",)),
     **dict.fromkeys((ESTIMATE_JOINTS.name, CONTRADICTION.name, VALIDITY.name), ("estimator",)),
     **dict.fromkeys((INTEGRITY.name, STATUS.name), ("estimator",)),
-    COMMAND.name: ("guidance",),
+    COMMAND.name: ("guidance", "motion"),
     IMU.name: ("chaser", "motion"),
     BODY.name: ("robots", "motion"),
     FAULTS.name: ("emulator", "proxy", "supervisor", "logger"),

@@ -10,6 +10,7 @@ from typing import Any
 from rpod_estimator.estimator import TICK_S, Estimator, check_reset
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.bodies import BodyInput, BodyReport
+from rpod_estimator.inputs.command import CommandInput
 from rpod_estimator.inputs.imu import ImuInput
 from rpod_estimator.inputs.stamped import StampedInput
 from rpod_estimator.inputs.subscriptions import Subscriptions
@@ -71,7 +72,11 @@ def _serve(
     with Node(config, version=version, stop=stop, sole=Sole((STATUS.under(config.prefix),))) as node:
         node.target_digest, node.target_content = target.digest, target.content_digest
         subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
-        readings = ImuInput(node, config, estimator.imu), BodyInput(node, config, estimator.bodies)
+        readings = (
+            ImuInput(node, config, estimator.imu),
+            CommandInput(node, config, estimator.commands),
+            BodyInput(node, config, estimator.bodies),
+        )
         bodies = BodyReport(node, estimator.bodies)
         with Beacon(Validity(config.stale_after_s), outputs.publish_validity, node.clock) as beacon:
             service = _Service(

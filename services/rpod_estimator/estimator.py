@@ -16,9 +16,10 @@ from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
+from rpod_pose.navigation.dynamics.command_track import CommandTrack
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.options import Dynamics
-from rpod_pose.navigation.dynamics.slewing import TURNS, turns
+from rpod_pose.navigation.dynamics.slewing import doubts, told
 from rpod_pose.navigation.first_pose.searches import InlineSearches, Searches
 from rpod_pose.navigation.integrity.memory import Memory
 from rpod_pose.navigation.integrity.monitor import Monitor
@@ -53,6 +54,7 @@ SLOW_SEARCH_S = 4.0
 """Time after which the status reports that a search takes long, together with the measured distances. A
 search for a first pose takes less time, unless other things are in view."""
 SLOW_SEARCH = "its search for a first pose takes long"
+ASSUMED_AGAIN = "poses agree again with what is assumed of the chaser, by its commands or a held attitude"
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
 
@@ -101,7 +103,7 @@ class Estimator:
         self._passed_ns: int | None = None
         self._is_reset = False
         self._ticked_ns = 0
-        self._has_turned = False
+        self._doubts: tuple[str, ...] = ()
 
     @property
     def mode(self) -> Mode:
@@ -172,6 +174,11 @@ class Estimator:
         """Readings of the chaser's IMU, to which its receiver adds; None if it is not used."""
         return self._dynamics.imu
 
+    @property
+    def commands(self) -> CommandTrack | None:
+        """Commanded accelerations of the chaser, to which their receiver adds; None if they are not used."""
+        return self._dynamics.commands
+
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""
         check_reset(request)
@@ -203,8 +210,9 @@ class Estimator:
         self._state = replace(self._state, shown_ns=0)
         for track in self.bodies.tracks.values() if self.bodies is not None else ():
             track.forget()
-        if self.imu is not None:
-            self.imu.forget()
+        for readings in (self.imu, self.commands):
+            if readings is not None:
+                readings.forget()
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -316,11 +324,10 @@ class Estimator:
         return Output(status, None)
 
     def _log_change(self, before: Mode, output: Output) -> None:
-        has_turned = self._state.history is not None and turns(self._state.history.state)
-        if has_turned != self._has_turned:
-            self._has_turned = has_turned
-            held = "the chaser is assumed to hold its attitude again"
-            log.warning("dynamics: %s", TURNS if has_turned else held)
+        doubted = () if self._state.history is None else doubts(self._state.history.state)
+        if doubted != self._doubts:
+            log.warning("dynamics: %s", told(doubted) or ASSUMED_AGAIN)
+            self._doubts = doubted
         if output.status.mode != before:
             reason = output.lost or output.status.reason
             log.info("%s -> %s%s", before.name, output.status.mode.name, f": {reason}" if reason else "")

@@ -8,6 +8,7 @@ from rpod_motion.errors import MotionError
 from rpod_motion.imu import Imu
 from rpod_motion.lockstep import Lockstep
 from rpod_motion.motion import Motion, build_motion
+from rpod_motion.thrust import Thrusters
 from rpod_motion.truth import TruthPublisher
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
@@ -84,11 +85,14 @@ def run(config: MotionServiceConfig, *, version: str, stop: Event) -> None:
 def _truth(
     node: Node, motion: Motion, config: MotionServiceConfig, epoch_ns: int, centre_of_mass_m: FloatArray
 ) -> TruthPublisher:
-    error = imu = None
+    error = imu = thrusters = None
     if config.truth_error is not None:
         error = TruthError(config.truth_error, seed=config.seed, rate_hz=config.rate_hz)
     if config.motion.imu is not None:
         imu = Imu(config.motion.imu, motion, centre_of_mass_m=centre_of_mass_m, seed=config.seed)
+    if config.motion.command is not None:
+        drawn = config.motion.command
+        thrusters = Thrusters(drawn, motion, centre_of_mass_m=centre_of_mass_m, seed=config.seed)
     return TruthPublisher(
         node,
         motion,
@@ -96,6 +100,7 @@ def _truth(
         rate_hz=config.rate_hz,
         error=error,
         imu=imu,
+        thrusters=thrusters,
         bodies=config.motion.bodies,
     )
 

@@ -5,7 +5,8 @@ from math import radians, sqrt
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rpod_motion.motion import Motion, MotionState
+from rpod_motion.motion import Motion
+from rpod_motion.thrust import specific_force_m_s2
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.motion import ImuNoiseConfig
 from rpod_schemas.messages import write_imu
@@ -14,16 +15,13 @@ from rpod_schemas.types import ImuReading
 
 _STREAM = 0x696D75
 """Number that separates this noise from other noise of the same seed: "imu" in ASCII."""
-_DIFFERENCE_S = 0.02
-"""Step of the difference that gives the acceleration."""
 
 
 class Imu:
     """Measures a motion with noise and bias; the biases are drawn once.
 
-    Where the trajectory has an orbit, the chaser flies freely and its specific force is 0. Without an orbit
-    there is no gravity: the acceleration of the target's centre of mass, as seen from the chaser, is caused
-    by the chaser's thrust and has the opposite direction; and the orbital frame is the epoch axes.
+    The specific force is that of ``thrust.specific_force_m_s2``. Without an orbit, the orbital frame is the
+    epoch axes.
 
     Args:
         config: noise and biases.
@@ -52,7 +50,8 @@ class Imu:
         force = attitude = None
         if config.acceleration_noise_m_s_sqrt_s is not None:
             sigma = config.acceleration_noise_m_s_sqrt_s * sqrt(config.rate_hz)
-            force = self._force_m_s2(time_s, state) + self.acceleration_bias_m_s2 + sigma * noise[1]
+            force = specific_force_m_s2(self._motion, self._centre_m, time_s)
+            force = force + self.acceleration_bias_m_s2 + sigma * noise[1]
         if config.star_tracker_sigma_deg is not None:
             true = state.R_epoch_chaser if state.R_orbit_chaser is None else state.R_orbit_chaser
             error = Rotation.from_rotvec(radians(config.star_tracker_sigma_deg) * noise[2])
@@ -71,18 +70,3 @@ class Imu:
     def message(self, stamp_ns: int, time_s: float) -> object:
         """Return the sensor_msgs/Imu of a reading."""
         return write_imu(self.reading(stamp_ns, time_s))
-
-    def _force_m_s2(self, time_s: float, state: MotionState) -> FloatArray:
-        """Return the specific force of the chaser, chaser axes, shape (3,)."""
-        if state.R_orbit_chaser is not None:
-            return np.zeros(3)
-        before, here, after = (
-            self._centre_E_m(time_s + step_s) for step_s in (-_DIFFERENCE_S, 0.0, _DIFFERENCE_S)
-        )
-        return -state.R_epoch_chaser.T @ ((before - 2.0 * here + after) / _DIFFERENCE_S**2)
-
-    def _centre_E_m(self, time_s: float) -> FloatArray:  # noqa: N802 - epoch axes
-        """Return the target's centre of mass from the chaser's origin, epoch axes, shape (3,)."""
-        state = self._motion.state(time_s)
-        centre_m: FloatArray = state.R_epoch_chaser @ state.T_chaser_target.apply(self._centre_m)
-        return centre_m

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from rpod_motion.bodies import BodyPublishers
 from rpod_motion.imu import Imu
 from rpod_motion.motion import Motion
+from rpod_motion.thrust import Thrusters
 from rpod_motion.truth_error import TruthError
 from rpod_runtime import Node
 from rpod_schemas.config.motion import BodyMotionConfig
@@ -18,7 +19,7 @@ from rpod_schemas.messages import (
     write_vector_stamped,
 )
 from rpod_schemas.rmw.cdr import encode
-from rpod_schemas.topics import CHASER, IMU, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
+from rpod_schemas.topics import CHASER, COMMAND, IMU, REFERENCE, SUN, TARGET, TF, TRUTH, TRUTH_JOINTS
 from rpod_schemas.types import Joints, Odometry
 
 _TF_HZ = 25.0
@@ -53,17 +54,21 @@ class TruthPublisher:
         rate_hz: float,
         error: TruthError | None = None,
         imu: Imu | None = None,
+        thrusters: Thrusters | None = None,
         bodies: Mapping[str, BodyMotionConfig] | None = None,
     ) -> None:
-        self._motion, self._error, self._imu = motion, error, imu
+        self._motion, self._error = motion, error
         self._epoch_ns, self._rate_hz = epoch_ns, rate_hz
         self._tf_every = max(1, round(rate_hz / _TF_HZ))
         self._sun_every = max(1, round(rate_hz / _SUN_HZ))
         self._ahead = int(_AHEAD_S * rate_hz)
         self._truth, self._reference = node.publisher(TRUTH), node.publisher(REFERENCE)
         self._joints = node.publisher(TRUTH_JOINTS) if motion.joints else None
-        self._readings = node.publisher(IMU) if imu is not None else None
-        self._imu_every = max(1, round(rate_hz / imu.rate_hz)) if imu is not None else 0
+        self._of_chaser = [
+            (node.publisher(topic), source, max(1, round(rate_hz / source.rate_hz)))
+            for topic, source in ((IMU, imu), (COMMAND, thrusters))
+            if source is not None
+        ]
         self._bodies = BodyPublishers(node, bodies or {}, rate_hz=rate_hz)
         self._tf, self._sun = node.publisher(TF), node.publisher(SUN)
         self._made: dict[int, _Made] = {}
@@ -87,8 +92,9 @@ class TruthPublisher:
         if made.transform:
             self._tf.put(made.transform)
             self._publish_joints(tick)
-        if self._imu is not None and self._readings is not None and tick % self._imu_every == 0:
-            self._readings.publish(self._imu.message(self.stamp_ns(tick), tick / self._rate_hz))
+        for publisher, source, every in self._of_chaser:
+            if tick % every == 0:
+                publisher.publish(source.message(self.stamp_ns(tick), tick / self._rate_hz))
         if self._bodies.is_due(tick):
             state = self._motion.state(tick / self._rate_hz)
             self._bodies.publish(tick, self.stamp_ns(tick), state.T_chaser_target)

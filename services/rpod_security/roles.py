@@ -12,6 +12,7 @@ from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_schemas.topics import (
     BODY,
     CLOCK,
+    COMMAND,
     DIAGNOSTICS,
     ESTIMATES,
     IMU,
@@ -90,7 +91,7 @@ ROLES: dict[str, Role] = {
     "estimator": Role(
         "estimates poses; it reads nothing of the truth",
         sends_as=("estimator",),
-        reads=(TF_STATIC, IMU, BODY, DIAGNOSTICS, CLOCK),
+        reads=(TF_STATIC, IMU, COMMAND, BODY, DIAGNOSTICS, CLOCK),
         reads_sensors=True,
         watches=True,
         is_sole=True,

@@ -18,6 +18,7 @@ from rpod_schemas.rmw.wire import publisher_tokens, token_pattern
 from rpod_schemas.topics import (
     BODY,
     CLOCK,
+    COMMAND,
     DIAGNOSTICS,
     FAULTS,
     IMU,
@@ -38,7 +39,8 @@ Grant = tuple[Flow, tuple[str, ...], list[str]]
 """A right of a member: direction, kinds of messages, and key expressions."""
 _CACHES, _PUBLISHERS = "@adv/**", "@adv/pub/**"
 _SHARED = frozenset(
-    {TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, CLOCK, BODY.at("*")}
+    {TF, TF_STATIC, FAULTS, DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS, TRUTH, SUN, IMU, COMMAND, CLOCK}
+    | {BODY.at("*")}
 )
 """Topics for which the ICD names several senders."""
 _WATCH = ("declare_liveliness_subscriber", "liveliness_query")

@@ -194,6 +194,24 @@ class ImuNoiseConfig(Config):
     """Standard deviation of the accelerometer's bias along each axis, m/s2."""
 
 
+class CommandErrorConfig(Config):
+    """Thrusters that execute ``guidance/command`` with errors, of which size and direction are drawn once.
+
+    The trajectory is what they achieve, so that the published commands are those that lead to it.
+    """
+
+    rate_hz: Positive = 10.0
+    """Rate of the commands, Hz; a divisor of the truth's rate, at least 1."""
+    sigma: NonNegative = 0.03
+    """Standard deviation of the executed acceleration along each axis, over the size of the command;
+    thrusters are 1 to 5 % off."""
+    delay_s: NonNegative = 0.02
+    """Time from a command's stamp to the change of thrust, s."""
+    noise_m_s_sqrt_s: NonNegative = 2e-4
+    """Noise of the speed while thrusters are commanded, m/s/sqrt(s); the default is that of on-times rounded
+    to 10 ms, ten pulses a second of thrusters for 0.02 m/s2."""
+
+
 class SunConfig(Config):
     """The sun, at rest in inertial space."""
 
@@ -252,6 +270,8 @@ class MotionConfig(Config):
     """Rotation of the chaser beside its trajectory; none if left out."""
     imu: ImuNoiseConfig | None = None
     """The chaser's IMU; it has none if left out."""
+    command: CommandErrorConfig | None = None
+    """The commands of a guidance, ``guidance/command``; none are published if left out."""
     bodies: dict[Name, BodyMotionConfig] = Field(default_factory=dict)
     """Frames of known bodies whose poses are published as ``bodies/<frame>/odometry``, by name."""
 
@@ -260,6 +280,8 @@ class MotionConfig(Config):
         rates = {f"motion.bodies.{name}.rate_hz": body.rate_hz for name, body in self.bodies.items()}
         if self.imu is not None:
             rates["motion.imu.rate_hz"] = self.imu.rate_hz
+        if self.command is not None:
+            rates["motion.command.rate_hz"] = self.command.rate_hz
         for field, rate_hz in rates.items():
             possible_hz = truth_hz / max(1, round(truth_hz / rate_hz))
             if not isclose(rate_hz, possible_hz, rel_tol=1e-6):

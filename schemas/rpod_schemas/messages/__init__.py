@@ -4,6 +4,7 @@
 the reason under which the message is counted. ``write_*`` are their inverses. Arrays stay views.
 """
 
+from rpod_schemas.messages.command import read_command, write_command
 from rpod_schemas.messages.geometry import (
     read_odometry,
     read_place,
@@ -58,6 +59,7 @@ __all__ = [
     "pixel_format",
     "read_amplitude",
     "read_camera",
+    "read_command",
     "read_depth",
     "read_diagnostics",
     "read_image",
@@ -79,6 +81,7 @@ __all__ = [
     "time_field",
     "write_camera",
     "write_clock",
+    "write_command",
     "write_compressed",
     "write_diagnostics",
     "write_header",

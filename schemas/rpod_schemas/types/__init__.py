@@ -19,7 +19,7 @@ from rpod_schemas.types.estimates import (
 from rpod_schemas.types.frames import LENS_COEFFICIENTS, Camera, FrameImage, SensorFrame, SensorInfo
 from rpod_schemas.types.health import CLOSING, PUBLISHED, SYNC, Diagnostic, Health, SensorSync
 from rpod_schemas.types.lidar import LidarInfo, LidarScan
-from rpod_schemas.types.motion import ImuReading, Joints, Odometry
+from rpod_schemas.types.motion import Command, ImuReading, Joints, Odometry
 from rpod_schemas.types.pmd import PmdFrame, PmdInfo
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "ZERO_6X6",
     "BeliefLevel",
     "Camera",
+    "Command",
     "Diagnostic",
     "EstimateValidity",
     "EstimatorStatus",

@@ -1,11 +1,19 @@
-"""Motion as it is measured or estimated: odometry, readings of an IMU, angles of joints."""
+"""Motion as it is measured, commanded or estimated: odometry, an IMU, thrust, angles of joints."""
 
 from typing import Annotated
 
 from pydantic import Field
 
 from rpod_schemas.arrays import Matrix6, Vector3
-from rpod_schemas.bounds import ACCELERATION_M_S2, RATE_RAD_S, VARIANCE, Text, bounded
+from rpod_schemas.bounds import (
+    ACCELERATION_M_S2,
+    COMMAND_M_S2,
+    COMMAND_VARIANCE,
+    RATE_RAD_S,
+    VARIANCE,
+    Text,
+    bounded,
+)
 from rpod_schemas.poses import Attitude, Pose
 from rpod_schemas.types.base import ZERO_6X6, Model, Stamped
 
@@ -41,6 +49,18 @@ class ImuReading(Stamped):
     """Attitude in the orbital frame (ICD section 1)."""
     attitude_variance: Annotated[float, bounded(VARIANCE)] = 0.0
     """Mean variance of the attitude about the three axes, rad2; 0 if it is not stated."""
+
+
+class Command(Stamped):
+    """Acceleration that the chaser's thrusters are commanded to give it, chaser axes.
+
+    It holds from its stamp until that of the next command, but no longer than a second (ICD section 2).
+    """
+
+    acceleration_m_s2: Annotated[Vector3, bounded(COMMAND_M_S2)]
+    """Without that of gravity, shape (3,)."""
+    variance: Annotated[float, bounded(COMMAND_VARIANCE)] = 0.0
+    """Mean variance of the executed acceleration along the three axes, (m/s2)^2; 0 if it is not stated."""
 
 
 class Joints(Model):

@@ -16,10 +16,10 @@ from rpod_analysis.log import Log, Logged
 from rpod_analysis.log.log_file import REPLAY, beside
 from rpod_analysis.log.stamp_check import StampCheck
 from rpod_analysis.replay.bodies import LoggedBodies
+from rpod_analysis.replay.chaser import LoggedReadings, logged_commands, logged_imu
 from rpod_analysis.replay.estimate_log import EstimateLog
 from rpod_analysis.replay.frames import Event, Frames, FramesAsLive
 from rpod_analysis.replay.holders import LoggedHolders
-from rpod_analysis.replay.imu import LoggedImu
 from rpod_analysis.replay.recorded_searches import RecordedSearches
 from rpod_analysis.replay.resets import LoggedReset, LoggedResets
 from rpod_analysis.replay.timeline import Timeline
@@ -42,8 +42,11 @@ from rpod_schemas.topics import (
     VALIDITY,
     Topic,
 )
-from rpod_schemas.types import Integrity
+from rpod_schemas.types import Command, ImuReading, Integrity
 from rpod_target import load_target
+
+Inputs = tuple[LoggedReadings[ImuReading], LoggedReadings[Command], LoggedBodies]
+"""What accompanies the frames of a log."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def replay(
     copied, status_topic = _copied(log, old), STATUS.under(old).name
     used = StampCheck(log), (holders := LoggedHolders(log, reader.parts))
     frames = FramesAsLive(reader, *used, status_topic=status_topic) if as_live else Frames(reader, *used)
-    inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
+    inputs = _inputs(log, config, estimator)
     span_ns = _span_ns(log, start_s=start_s, end_s=end_s)
     told = LoggedResets.of(log, status_topic)
     feed = _Feed(estimator, frames, inputs, recorded, resets=told.since(span_ns[0]))
@@ -170,7 +173,7 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
     """
     reader = FrameReader(config.sensors)
     estimator = Estimator(config, load_target(config.target))
-    inputs = LoggedImu(log, config.dynamics, estimator.imu), LoggedBodies(log, estimator.bodies)
+    inputs = _inputs(log, config, estimator)
     frames = Frames(reader, StampCheck(log), LoggedHolders(log, reader.parts))
     feed = _Feed(estimator, frames, inputs)
     for logged in log.messages(*(topic.name for topic in (*reader.latched, *reader.streams))):
@@ -178,6 +181,15 @@ def estimator_outputs(log: Log, config: EstimatorConfig) -> Iterator[Output]:
             yield output
     for output, _ in feed.outputs(frames.rest()):
         yield output
+
+
+def _inputs(log: Log, config: EstimatorConfig, estimator: Estimator) -> Inputs:
+    """Return what accompanies the frames of a log."""
+    return (
+        logged_imu(log, config.dynamics, estimator.imu),
+        logged_commands(log, estimator.commands),
+        LoggedBodies(log, estimator.bodies),
+    )
 
 
 def _reader_of(log: Log, config: EstimatorConfig) -> FrameReader:
@@ -224,7 +236,7 @@ class _Feed:
     Args:
         estimator: the estimator.
         frames: the frames of the log.
-        inputs: the log's readings of the chaser's motion, and of the known bodies.
+        inputs: the log's readings of the chaser's motion, its commands, and the poses of known bodies.
         recorded: the searches of a live run, if its frames are repeated.
         resets: the resets to repeat.
     """
@@ -233,7 +245,7 @@ class _Feed:
         self,
         estimator: Estimator,
         frames: Frames,
-        inputs: tuple[LoggedImu, LoggedBodies],
+        inputs: Inputs,
         recorded: RecordedSearches | None = None,
         *,
         resets: Sequence[LoggedReset] = (),

@@ -11,7 +11,7 @@ from math import degrees
 import numpy as np
 
 from rpod_pose.belief import MOST_SIGMA_DEG, worst_sigma
-from rpod_pose.navigation.dynamics.slewing import TURNS, turns
+from rpod_pose.navigation.dynamics.slewing import doubts, told
 from rpod_pose.navigation.filter import POSE, UNSEEN, FilterState, predict
 from rpod_pose.navigation.sensors.streams import is_supported, supported_ns, supporters, unsupported_s
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -40,8 +40,8 @@ class Coasting:
             return state, ""
         silent = f"no measurement was accepted for {unsupported_s(state.streams, stamp_ns):.2f} s"
         newest = state.history.state
-        if turns(newest):
-            silent += f", and {TURNS}"
+        if doubted := told(doubts(newest)):
+            silent += f", and {doubted}"
         if beyond := self._beyond(state, predict(newest, max(stamp_ns, newest.stamp_ns), self._config)):
             return state.lost(stamp_ns, left=newest), f"{silent}, {beyond}"
         if state.mode == Mode.COASTING:

@@ -30,13 +30,45 @@ class ImuConfig(Config):
     orbit only: on Earth an accelerometer measures its weight. If left out, they are not used."""
 
 
+class CommandTuning(Tuning):
+    """Errors of thrusters, where ``guidance/command`` does not state them."""
+
+    sigma: Annotated[
+        Positive,
+        Provenance(
+            "physics",
+            "thrusters are 1 to 5 % off, in direction by about as much; both proportional to the thrust (C. "
+            "R. Gates, A Simplified Model of Midcourse Maneuver Execution Errors, JPL TR 32-504, 1963)",
+        ),
+    ] = 0.03
+    """Standard deviation of the executed acceleration along each axis, over the size of the command, for
+    commands that do not state their covariance. It lasts: one thruster, one error."""
+    noise_m_s_sqrt_s: Annotated[
+        Positive,
+        Provenance("physics", "on-times rounded to 10 ms, ten pulses a second of thrusters for 0.02 m/s2"),
+    ] = 2e-4
+    """Noise of the speed while thrusters are commanded, m/s/sqrt(s)."""
+    delay_sigma_s: Annotated[
+        Positive, Provenance("physics", "valves open within 10 ms, within a cycle of 10 ms of a computer")
+    ] = 0.02
+    """Standard deviation of the time between a command's stamp and the change of thrust, s."""
+
+
+class CommandConfig(Config):
+    """The acceleration that the chaser's thrusters are commanded to give it, ``guidance/command``."""
+
+    tuning: CommandTuning = CommandTuning()
+    """Numbers outside the public interface. A guidance that knows its thrusters states their errors by the
+    covariance of its commands instead."""
+
+
 class DynamicsTuning(Tuning):
     """Noise of motion that no model contains."""
 
     acceleration_density_m2_s3: Annotated[
         Positive, Provenance("physics", "differential drag of 1e-6 m/s2 at 600 km that lasts for 1,000 s")
     ] = 1e-9
-    """Spectral density of accelerations in free flight, m2/s3, where thrust is measured or there is none."""
+    """Spectral density of accelerations in free flight, m2/s3, where thrust is known or there is none."""
     angular_acceleration_density_rad2_s3: Annotated[
         Positive, Provenance("physics", "gravity gradient in low orbits, 1e-6 rad/s2, that lasts for 10 s")
     ] = 2e-11
@@ -69,10 +101,13 @@ class DynamicsConfig(Config):
     to have the centre of mass estimated from the tumbling; 0 trusts the file."""
     orbit: OrbitConfig | None = None
     """The orbit, for a prediction by Clohessy and Wiltshire's equations of free flight. Set it where the
-    chaser does not thrust during gaps, or where its IMU measures accelerations."""
+    chaser does not thrust during gaps, or where its accelerations are measured or commanded."""
     imu: ImuConfig | None = None
     """The chaser's IMU, which measures the chaser's rotation. Set it if the chaser turns and publishes
     ``chaser/imu``."""
+    command: CommandConfig | None = None
+    """The commanded acceleration. Set it, to ``{}``, if the chaser thrusts and your guidance publishes
+    ``guidance/command``; the accelerometer is then left out."""
     tuning: DynamicsTuning = DynamicsTuning()
     """Limits and numbers of the method that are outside the public interface; change them only to study
     it."""
@@ -81,7 +116,21 @@ class DynamicsConfig(Config):
     def is_default(self) -> bool:
         """Whether the prediction is that of a constant velocity and rate as seen from the chaser."""
         simple = self.target == "constant_rate" and not self.centre_of_mass_sigma_m
-        return simple and self.orbit is None and self.imu is None
+        return simple and self.orbit is None and self.imu is None and self.command is None
+
+    @property
+    def uses_accelerometer(self) -> bool:
+        """Whether the accelerations that the IMU measures are used."""
+        return self.imu is not None and self.imu.acceleration_bias_sigma_m_s2 is not None
+
+    @model_validator(mode="after")
+    def _one_source_of_acceleration(self) -> Self:
+        if self.command is not None and self.uses_accelerometer:
+            raise ValueError(
+                "command: the IMU measures the same acceleration; leave out command, or "
+                "imu.acceleration_bias_sigma_m_s2"
+            )
+        return self
 
     @model_validator(mode="after")
     def _the_orbit_needs_an_attitude(self) -> Self:

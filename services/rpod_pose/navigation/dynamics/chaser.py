@@ -1,4 +1,4 @@
-"""Rotation and acceleration of the chaser between two times: of a held attitude, or measured by its IMU."""
+"""Rotation and acceleration of the chaser between two times: held, measured by its IMU, or commanded."""
 
 from typing import NamedTuple, Protocol
 
@@ -13,7 +13,8 @@ class ChaserStep(NamedTuple):
 
     Vectors are in the chaser's axes at the start of the step, unless stated otherwise. A bias b of the gyro
     or of the accelerometer is in chaser axes. The values hold for a bias of zero, and their derivatives with
-    respect to the bias are given.
+    respect to the bias are given. Commanded accelerations have four errors of thrust (``command_track``) in
+    place of the accelerometer's bias; K is their number, or 3.
     """
 
     turn: FloatArray
@@ -30,13 +31,13 @@ class ChaserStep(NamedTuple):
     unknown_s: float
     """Part of the time in which the chaser's rotation is unknown, s."""
     speed_m_s: FloatArray
-    """First integral of the measured specific force: a change of velocity, shape (3,)."""
+    """First integral of the measured or commanded specific force: a change of velocity, shape (3,)."""
     way_m: FloatArray
-    """Second integral of the measured specific force: a displacement, shape (3,)."""
+    """Second integral of the same: a displacement, shape (3,)."""
     speed_by_bias: FloatArray
-    """Derivatives of ``speed_m_s`` with respect to the accelerometer's bias, s, shape (3, 3)."""
+    """Derivatives of ``speed_m_s`` with respect to the acceleration's errors, s or m/s, shape (3, K)."""
     way_by_bias: FloatArray
-    """Derivatives of ``way_m`` with respect to the accelerometer's bias, s2, shape (3, 3)."""
+    """Derivatives of ``way_m`` with respect to the acceleration's errors, s2 or m, shape (3, K)."""
     R_orbit_chaser: FloatArray | None
     """Attitude in the orbital frame at the start, shape (3, 3); None if it is unknown."""
     bias_kept: float = 1.0
@@ -44,9 +45,11 @@ class ChaserStep(NamedTuple):
     bias_noise: float = 0.0
     """Variance about each axis of the noise that is added to this share, (rad/s)^2."""
     speed_variance: float = 0.0
-    """Variance of ``speed_m_s`` along each axis, by the noise of the accelerometer, (m/s)^2."""
+    """Variance of ``speed_m_s`` along each axis, by the noise of accelerometer or thrust, (m/s)^2."""
     rate_variance: float = 0.0
     """Variance of ``rate_after_rad_s`` about each axis, by the noise of the gyro, (rad/s)^2."""
+    unforced_s: float = 0.0
+    """Part of the time in which no command holds, so that the acceleration is unknown, s."""
 
 
 class Chaser(Protocol):
@@ -54,6 +57,10 @@ class Chaser(Protocol):
 
     def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
         """Return the motion between two stamps, ns."""
+        ...
+
+    def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
+        """Return the ``turn`` of a step alone, shape (3, 3)."""
         ...
 
 
@@ -73,7 +80,11 @@ class Held:
 
     def step(self, begin_ns: int, end_ns: int) -> ChaserStep:
         """Return the motion between two stamps."""
-        turn = exponential(-self._rate_rad_s * ((end_ns - begin_ns) * 1e-9))
+        turn = self.turn(begin_ns, end_ns)
         nothing, none = np.zeros((3, 3)), np.zeros(3)
         rate = self._rate_rad_s
         return ChaserStep(turn, nothing, rate, rate, 0.0, 0.0, none, none, nothing, nothing, self._attitude)
+
+    def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
+        """Return the rotation matrix from chaser axes at one stamp to those at another, shape (3, 3)."""
+        return exponential(-self._rate_rad_s * ((end_ns - begin_ns) * 1e-9))

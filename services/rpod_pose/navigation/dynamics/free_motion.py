@@ -9,7 +9,7 @@ back to p, v and w. The derivatives follow the same steps. The errors of q, u an
 like those of p, v and w.
 
 Optional further states: offset of the centre of mass from the declared one, ratios of the inertia, biases of
-gyro and accelerometer. A state that no measurement observes keeps its prior.
+gyro and accelerometer, errors of thrust. A state that no measurement observes keeps its prior.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +38,10 @@ from rpod_schemas.poses import pose_of, rotation_matrix
 
 CENTRE_OF_MASS, INERTIA = "centre_of_mass_offset_m", "inertia_ratios"
 GYRO_BIAS, ACCELERATION_BIAS = "gyro_bias_rad_s", "acceleration_bias_m_s2"
-STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, ACCELERATION_BIAS})
+THRUST_ERRORS = "thrust_errors"
+FORCE_ERRORS = (ACCELERATION_BIAS, THRUST_ERRORS)
+"""Names of the blocks with the errors of a known acceleration; a model has at most one of them."""
+STATES = frozenset({CENTRE_OF_MASS, INERTIA, GYRO_BIAS, *FORCE_ERRORS})
 """Names of the blocks of further states."""
 
 _NONE = np.zeros(3)
@@ -55,8 +58,8 @@ class _Extras:
     """Coefficients of the inertia's ratios, shape (2,), or (0,) if they are not estimated."""
     gyro_rad_s: FloatArray
     """Bias of the gyro, chaser axes, shape (3,)."""
-    force_m_s2: FloatArray
-    """Bias of the accelerometer, chaser axes, shape (3,)."""
+    force: FloatArray
+    """Bias of the accelerometer, chaser axes, m/s2, shape (3,), or errors of thrust, shape (4,)."""
     places: dict[str, slice]
 
     @classmethod
@@ -66,7 +69,7 @@ class _Extras:
             state.centre_of_mass_m + values.get(CENTRE_OF_MASS, _NONE),
             values.get(INERTIA, np.zeros(0)),
             values.get(GYRO_BIAS, _NONE),
-            values.get(ACCELERATION_BIAS, _NONE),
+            values.get(ACCELERATION_BIAS, values.get(THRUST_ERRORS, _NONE)),
             state.places(),
         )
 
@@ -81,7 +84,7 @@ class FreeMotion:
     orbit_rate_rad_s: float | None = None
     """Rate of the orbit; None for straight motion."""
     uses_force: bool = True
-    """Whether the chaser's measured specific force is used."""
+    """Whether the chaser's specific force is used, as measured or commanded."""
     acceleration_density_m2_s3: float | None = None
     """Spectral density of the accelerations that are not modelled; None for that of the filter."""
     angular_acceleration_density_rad2_s3: float | None = None
@@ -117,8 +120,8 @@ class FreeMotion:
         moved = self._transition(chaser, step_s)
         qu = moved @ np.concatenate([q, u])
         if self.uses_force:
-            qu[:3] -= chaser.way_m + chaser.way_by_bias @ extras.force_m_s2
-            qu[3:] -= chaser.speed_m_s + chaser.speed_by_bias @ extras.force_m_s2
+            qu[:3] -= chaser.way_m + chaser.way_by_bias @ extras.force
+            qu[3:] -= chaser.speed_m_s + chaser.speed_by_bias @ extras.force
         phi = chaser.turn_by_bias @ extras.gyro_rad_s
         C = exponential(phi) @ chaser.turn
         R_after = orthonormal(C @ R @ body.turn)
@@ -191,7 +194,7 @@ class FreeMotion:
         return inertial_transition(self.orbit_rate_rad_s, step_s, chaser.R_orbit_chaser.T)
 
     def _noise(self, chaser: ChaserStep, step_s: float, config: FilterConfig) -> FloatArray:
-        """Return the process noise of a step, with that of the filter while the chaser's turn is unknown."""
+        """Return the process noise of a step, with that of the filter while turn or thrust are unknown."""
         own, filtered = (
             (self.acceleration_density_m2_s3, self.angular_acceleration_density_rad2_s3),
             (config.acceleration_density_m2_s3, config.angular_acceleration_density_rad2_s3),
@@ -200,6 +203,7 @@ class FreeMotion:
         noise = process_noise(step_s, *chosen)
         if self.uses_force:
             noise = noise + process_noise(step_s, chaser.speed_variance / step_s, 0.0)
+            noise = noise + process_noise(min(chaser.unforced_s, step_s), filtered[0], 0.0)
         if chaser.unknown_s > 0.0:
             noise = noise + process_noise(min(chaser.unknown_s, step_s), *filtered)
         return noise
@@ -301,8 +305,7 @@ def _moved(
         place, turned = extras.places[INERTIA], R_after @ body.turn_by_shape
         F[ATTITUDE, place] = C @ turned
         F[RATE, place] = C @ (R_after @ body.rate_by_shape - spin_after @ turned)
-    if ACCELERATION_BIAS in extras.places:
-        place = extras.places[ACCELERATION_BIAS]
+    for place in (extras.places[name] for name in FORCE_ERRORS if name in extras.places):
         F[POSITION, place], F[VELOCITY, place] = -C @ chaser.way_by_bias, -C @ chaser.speed_by_bias
     return F
 

@@ -186,6 +186,10 @@ class ImuTrack:
             rate_variance=self._rate_variance(b),
         )
 
+    def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
+        """Return the turn of a step alone, shape (3, 3)."""
+        return self._at(end_ns).G.T @ self._at(begin_ns).G if self._sums else np.eye(3)
+
     def _at(self, stamp_ns: int) -> _Sum:
         """Return the integrals at any stamp, by the readings up to it."""
         place = bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)

@@ -6,24 +6,23 @@ from math import pi, radians
 import numpy as np
 
 from rpod_pose.navigation.dynamics.chaser import Chaser, Held
+from rpod_pose.navigation.dynamics.command_track import ERRORS, Commanded, CommandTrack
 from rpod_pose.navigation.dynamics.free_motion import (
     ACCELERATION_BIAS,
     CENTRE_OF_MASS,
     GYRO_BIAS,
     INERTIA,
     STATES,
+    THRUST_ERRORS,
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
-from rpod_pose.navigation.dynamics.slewing import turns
+from rpod_pose.navigation.dynamics.slewing import doubts
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_target import Equivalence, Target
-
-CHASER_TURNS = "chaser_turns"
-"""Name in the status's evidence for a chaser that turns although a held attitude was assumed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +35,8 @@ class Dynamics:
     """Further states of the model."""
     imu: ImuTrack | None = None
     """Readings of the chaser's IMU, for a model that uses them."""
+    commands: CommandTrack | None = None
+    """Commanded accelerations of the chaser, for a model that uses them."""
     assumption: str = ""
     """Assumption about the chaser's motion that is made without an IMU, with the remedy; empty if none."""
 
@@ -67,15 +68,15 @@ def evidence_of(state: FilterState) -> dict[str, float]:
     """Return norm and largest standard deviation of each block of further states, by name, for the status.
 
     If the target moves more than the filter expects, the factors on the densities of accelerations are
-    included. ``CHASER_TURNS`` is 1 while the chaser turns although a held attitude was assumed.
+    included. ``CHASER_TURNS`` is 1 while the chaser turns although a held attitude was assumed, and
+    ``COMMAND_DOUBTED`` is 1 while commanded accelerations are not used because poses contradict them.
     """
-    places, found = state.places(), {}
-    if turns(state):
-        found[CHASER_TURNS] = 1.0
+    places, found = state.places(), dict.fromkeys(doubts(state), 1.0)
     if (factors := state.factors) != CALM:
         found["acceleration_factor"] = factors.acceleration
         found["angular_acceleration_factor"] = factors.angular
     imu = state.model.chaser if isinstance(state.model, FreeMotion) else None
+    imu = imu.turning if isinstance(imu, Commanded) else imu
     for block in state.blocks:
         if block.name in STATES:
             variances, value = np.diag(state.covariance)[places[block.name]], block.value
@@ -87,7 +88,7 @@ def evidence_of(state: FilterState) -> dict[str, float]:
 
 
 def _free(config: DynamicsConfig, target: Target) -> Dynamics:
-    tuning, free_fall = config.tuning, config.orbit is not None
+    tuning = config.tuning
     _require_observable(config, target.equivalence)
     rate_rad_s = None if config.orbit is None else 2.0 * pi / config.orbit.period_s
     attitude = None if config.orbit is None else config.orbit.R_orbit_chaser
@@ -111,15 +112,22 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
         )
         blocks.append(_block(GYRO_BIAS, 3, bias_sigma))
         if config.imu.acceleration_bias_sigma_m_s2 is not None:
-            free_fall = True
             blocks.append(_block(ACCELERATION_BIAS, 3, config.imu.acceleration_bias_sigma_m_s2))
-    turning: Chaser = chaser if imu is None else imu
+    moving: Chaser = chaser if imu is None else imu
+    commands = None
+    if config.command is not None:
+        commands = CommandTrack()
+        moving = Commanded(moving, commands, config.command.tuning)
+        blocks.append(_block(THRUST_ERRORS, ERRORS, 1.0))
+    uses_force = config.command is not None or config.uses_accelerometer
     model = FreeMotion(
-        turning,
+        moving,
         inertia=Inertia(target.inertia_kg_m2) if torque_free else None,
         orbit_rate_rad_s=rate_rad_s,
-        uses_force=config.imu is not None and config.imu.acceleration_bias_sigma_m_s2 is not None,
-        acceleration_density_m2_s3=tuning.acceleration_density_m2_s3 if free_fall else None,
+        uses_force=uses_force,
+        acceleration_density_m2_s3=(
+            tuning.acceleration_density_m2_s3 if uses_force or config.orbit is not None else None
+        ),
         angular_acceleration_density_rad2_s3=(
             tuning.angular_acceleration_density_rad2_s3 if torque_free else None
         ),
@@ -131,7 +139,7 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
         else f"dynamics: the chaser is assumed to hold its attitude {held}; if it turns, "
         "the track goes on at a constant rate and bridges no gap: set dynamics.imu"
     )
-    return Dynamics(model, tuple(blocks), imu, assumption)
+    return Dynamics(model, tuple(blocks), imu, commands, assumption)
 
 
 def _block(name: str, size: int, sigma: float) -> Block:

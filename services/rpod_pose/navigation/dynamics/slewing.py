@@ -10,12 +10,15 @@ The logarithm of the ratio is added up, and may not fall below zero: Page's test
 time (E. S. Page, Continuous inspection schemes, Biometrika 41, 1954). Beyond its limit, the chaser has
 turned, and the second filter is the track.
 
+Commanded accelerations (``command_track``) are an assumption of the same kind: thrusters may fail. So the
+second filter continues beside a track with commands too, with and without a gyro.
+
 A chaser that stops may be assumed to hold its attitude again. So the model with the held attitude begins anew
 beside the track, from the track's state and the priors of its further states, as often as poses contradict
 it. It is the track again when it was beside for ``HELD_S``, and the poses favour it beyond the same limit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from math import log
 from typing import NamedTuple
@@ -24,6 +27,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from rpod_pose.navigation.dynamics.chaser import Held
+from rpod_pose.navigation.dynamics.command_track import Commanded
 from rpod_pose.navigation.dynamics.free_motion import STATES, FreeMotion
 from rpod_pose.navigation.dynamics.steady import LEAST, log_density
 from rpod_pose.navigation.filter import (
@@ -50,8 +54,15 @@ from rpod_schemas.messages import NANOSECONDS
 HELD_S = 60.0
 """Time for which a chaser must have held its attitude until this is assumed again, s. Physics: a slew by 60
 deg at 1 deg/s; while its rate is constant, poses contradict a held attitude but slowly."""
-TURNS = "the chaser turns without a known rate, so that no gap is bridged (set dynamics.imu)"
-"""What an operator is told about a track whose chaser turns."""
+CHASER_TURNS, COMMAND_DOUBTED = "chaser_turns", "command_doubted"
+"""Names in the status's evidence for a chaser that turns although a held attitude was assumed, and for
+commanded accelerations that poses contradict."""
+_TURNS = "the chaser turns without a known rate, so that no gap is bridged (set dynamics.imu)"
+_DOUBTED = (
+    "the chaser does not move as guidance/command says, so that no gap is bridged (check its thrusters, and "
+    "axes, sign and stamps of the commands{})"
+)
+_OR_TURNS = "; if the chaser turns, set dynamics.imu"
 _REFUSALS = 3.0
 """Number of right poses that the gate refuses by chance in succession as rarely as the filters are exchanged
 by chance. Physics: a millionth of the frames, which is once in six hours at 45 Hz."""
@@ -59,13 +70,13 @@ by chance. Physics: a millionth of the frames, which is once in six hours at 45 
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """Model of motion (``MotionModel``) while the chaser turns, as poses have shown: a constant rate.
+    """Model of motion (``MotionModel``) while poses contradict what is assumed of the chaser.
 
-    Rates are those as seen from the chaser, with the densities of the configuration.
+    Velocity and rate are constant as seen from the chaser, with the densities of the configuration.
     """
 
     held: FreeMotion
-    """The model that assumes a held attitude."""
+    """The model that assumes a held attitude, or commands that are executed."""
     blocks: tuple[Block, ...]
     """Its further states before any measurement."""
 
@@ -94,8 +105,25 @@ class Turning:
 
 
 def turns(state: FilterState) -> bool:
-    """Return whether the chaser has turned although its attitude was assumed to be held."""
+    """Return whether poses contradict what is assumed of the chaser: a held attitude, or its commands."""
     return isinstance(state.model, Turning)
+
+
+def doubts(state: FilterState) -> tuple[str, ...]:
+    """Return what poses contradict about the chaser, by the names for the evidence."""
+    if not isinstance(state.model, Turning):
+        return ()
+    chaser = state.model.held.chaser
+    if not isinstance(chaser, Commanded):
+        return (CHASER_TURNS,)
+    return (CHASER_TURNS, COMMAND_DOUBTED) if isinstance(chaser.turning, Held) else (COMMAND_DOUBTED,)
+
+
+def told(doubted: Collection[str]) -> str:
+    """Return what an operator is told about the doubts of a track; empty for none."""
+    if COMMAND_DOUBTED in doubted:
+        return _DOUBTED.format(_OR_TURNS if CHASER_TURNS in doubted else "")
+    return _TURNS if doubted else ""
 
 
 class Met(NamedTuple):
@@ -149,7 +177,9 @@ def _beside(state: FilterState) -> Other | None:
     )
     if isinstance(model, Turning):
         return Other(grown(replace(state, model=model.held), model.blocks), state.stamp_ns)
-    if not isinstance(model, FreeMotion) or not isinstance(model.chaser, Held) or not any(model.states_noise):
+    if not isinstance(model, FreeMotion) or not any(model.states_noise):
+        return None
+    if not isinstance(model.chaser, Held | Commanded):  # all that is assumed of the chaser is measured
         return None
     own = tuple(block for block in state.blocks if block.name in STATES)
     for block in own:

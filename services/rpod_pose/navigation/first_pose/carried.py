@@ -13,7 +13,7 @@ import numpy as np
 
 from rpod_pose.belief import worst_sigma
 from rpod_pose.navigation.challenger import EXPLAINED_DEG
-from rpod_pose.navigation.dynamics.free_motion import ACCELERATION_BIAS, GYRO_BIAS
+from rpod_pose.navigation.dynamics.free_motion import FORCE_ERRORS, GYRO_BIAS
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import Known
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, is_of_sensor
@@ -54,4 +54,4 @@ def _continues(predicted: FilterState, measured: PoseMeasurement) -> bool:
 
 
 def _is_of_facility(block: str) -> bool:
-    return block in (GYRO_BIAS, ACCELERATION_BIAS) or is_of_sensor(block)
+    return block in (GYRO_BIAS, *FORCE_ERRORS) or is_of_sensor(block)

@@ -8,8 +8,8 @@ import pytest
 from free_flight.course import AT_THEIR_WORD, Course, fly
 from rpod_motion.imu import Imu
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
-from rpod_pose.navigation.dynamics.options import CHASER_TURNS, Dynamics, evidence_of
-from rpod_pose.navigation.dynamics.slewing import turns
+from rpod_pose.navigation.dynamics.options import Dynamics, evidence_of
+from rpod_pose.navigation.dynamics.slewing import CHASER_TURNS, turns
 from rpod_pose.navigation.integrity.refused import turning_solutions
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
