@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from free_flight.course import AT_THEIR_WORD, Course, Result, fly
-from rpod_schemas.config.motion import ImuNoiseConfig
+from rpod_schemas.config.motion import CommandErrorConfig, ImuNoiseConfig
 from rpod_target import load_target
 
 _WRONG = {"right": (1.0, 1.0, 1.0), "largest +20 %": (1.0, 1.0, 1.2), "largest -20 %": (1.0, 1.0, 0.8),
@@ -68,6 +68,21 @@ def courses() -> Iterator[tuple[str, Course]]:
     yield (
         "5 deg/s, camera, torque-free, slew 1 deg/s, gyro and accelerometer",
         replace(quiet, slews=True, dynamics=forced, imu=_PRECISE, filter=AT_THEIR_WORD),
+    )
+    thrusting = replace(quiet, approach_m=3.0, thrusts=True, filter=AT_THEIR_WORD)
+    commanded = {**_TORQUE_FREE, "command": {}}
+    for name, dynamics, imu in (
+        ("no source", _TORQUE_FREE, None),
+        ("gyro and accelerometer", forced, _PRECISE),
+        ("command", commanded, None),
+    ):
+        course = replace(thrusting, dynamics=dynamics, imu=imu, commands=CommandErrorConfig())
+        yield f"5 deg/s, camera, torque-free, thrust in the gap, {name}", course
+    yield (
+        "5 deg/s, camera, torque-free, thrust in the gap, slew 1 deg/s, gyro and command",
+        replace(
+            thrusting, slews=True, dynamics={**commanded, "imu": {}}, imu=_IMU, commands=CommandErrorConfig()
+        ),
     )
 
 

@@ -69,6 +69,10 @@ class Course:
     """Whether the chaser is on a safety ellipse about the target; otherwise both drift apart on a line."""
     imu: ImuNoiseConfig | None = None
     commands: CommandErrorConfig | None = None
+    approach_m: float = 0.3
+    """Way by which the chaser comes nearer, to the end of the gap."""
+    thrusts: bool = False
+    """Whether it speeds up for half of the time and brakes for the other half; else its speed is constant."""
     filter: FilterConfig = FREE_FLIGHT
 
     def assumed(self) -> Target:
@@ -208,8 +212,10 @@ def _motion(course: Course, generator: np.random.Generator) -> Motion:
             semi_major_axis_m=ORBIT_M, inclination_rad=radians(98.5),
         )  # fmt: skip
     else:
-        end_m = np.array([0.05, 0.0, course.range_m - 0.3])
-        path = Approach(np.array([0.0, 0.0, course.range_m]), end_m, duration_s, 0.0, anchor_m=centre_m)
+        end_m = np.array([0.05, 0.0, course.range_m - course.approach_m])
+        ramp_share = 0.5 if course.thrusts else 0.0
+        start_m = np.array([0.0, 0.0, course.range_m])
+        path = Approach(start_m, end_m, duration_s, ramp_share, anchor_m=centre_m)
     if course.slews:
         kind = SlewingOnce if course.holds_again else Slewing
         path = kind(path, np.array([0.0, 1.0, 0.0]), SLEW_RAD, SLEW_PERIOD_S)

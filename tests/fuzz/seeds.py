@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_log import SyntheticRun
 
 from rpod_schemas.messages import (
+    write_command,
     write_imu,
     write_integrity,
     write_joints,
@@ -23,6 +24,7 @@ from rpod_schemas.topics import (
     AMPLITUDE,
     CAMERA_INFO,
     CHASER,
+    COMMAND,
     DEPTH,
     DIAGNOSTICS,
     ESTIMATE,
@@ -43,6 +45,7 @@ from rpod_schemas.topics import (
     Topic,
 )
 from rpod_schemas.types import (
+    Command,
     EstimateValidity,
     ImuReading,
     Integrity,
@@ -54,7 +57,7 @@ from rpod_schemas.types import (
 TOPICS = (
     TRUTH_JOINTS, VALIDITY, LIDAR_INFO.of("lidar"), TF, SUN, REFERENCE, TRUTH, TF_STATIC, PMD_INFO.of("pmd"),
     CAMERA_INFO.of("pmd"), DEPTH.of("pmd"), AMPLITUDE.of("pmd"), DIAGNOSTICS, ESTIMATE, ESTIMATE_POSE, STATUS,
-    POINTS.of("lidar"), IMU, INTEGRITY,
+    POINTS.of("lidar"), IMU, COMMAND, INTEGRITY,
 )  # fmt: skip
 """Topics whose messages are made hostile."""
 
@@ -88,6 +91,9 @@ def messages() -> dict[Topic, bytes]:
                 force_m_s2=np.ones(3),
                 R_orbit_chaser=Rotation.identity(),
             )
+        ),
+        COMMAND: write_command(
+            Command(stamp_ns=1, frame_id=CHASER, acceleration_m_s2=np.ones(3), variance=1e-6)
         ),
         INTEGRITY: write_integrity(
             Integrity(

@@ -39,6 +39,7 @@ from rpod_schemas.faults.injected import read_faults
 from rpod_schemas.messages import (
     read_amplitude,
     read_camera,
+    read_command,
     read_depth,
     read_diagnostics,
     read_image,
@@ -73,6 +74,7 @@ READERS: dict[str, tuple[Callable[[Any], Any], ...]] = {
     "sensor_msgs/msg/PointCloud2": (read_points,),
     "sensor_msgs/msg/JointState": (read_joints,),
     "sensor_msgs/msg/Imu": (read_imu,),
+    "geometry_msgs/msg/AccelWithCovarianceStamped": (read_command,),
     "rpod_msgs/msg/Integrity": (read_integrity,),
     "rpod_msgs/msg/PmdInfo": (read_pmd_info,),
     "rpod_msgs/msg/LidarInfo": (read_lidar_info,),

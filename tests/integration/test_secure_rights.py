@@ -54,7 +54,7 @@ READERS = {
     "tf_static": SHOWN | {"estimator"},
     "tf": SHOWN | {"operator"},
     "clock": SHOWN | {"emulator", "driver", "estimator", "operator", "guidance"},
-    "guidance/command": {"logger"},
+    "guidance/command": {"logger", "estimator"},
     "chaser/imu": {"logger", "estimator"},
     "bodies/<frame>/odometry": {"logger", "estimator"},
     "faults": {"logger"},

@@ -105,6 +105,7 @@ def test_a_wrong_field_is_named_with_the_reason(document: dict[str, Any], field:
     [
         ({"imu": {"rate_hz": 100}}, "motion.imu.rate_hz is 100"),
         ({"imu": {"rate_hz": 400}}, "motion.imu.rate_hz is 400"),
+        ({"command": {"rate_hz": 100}}, "motion.command.rate_hz is 100"),
         ({"bodies": {"forearm": {"rate_hz": 30}}}, "motion.bodies.forearm.rate_hz is 30"),
     ],
 )

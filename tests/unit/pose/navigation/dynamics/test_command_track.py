@@ -1,0 +1,137 @@
+"""Commanded accelerations: how they are integrated, and what follows where none holds or none is executed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from free_flight.course import AT_THEIR_WORD, Course, fly
+from rpod_motion.thrust import Thrusters
+from rpod_pose.navigation.dynamics.chaser import Held
+from rpod_pose.navigation.dynamics.command_track import Commanded, CommandTrack
+from rpod_pose.navigation.dynamics.options import evidence_of
+from rpod_pose.navigation.dynamics.slewing import CHASER_TURNS, COMMAND_DOUBTED, doubts, told
+from rpod_schemas.config.base import check
+from rpod_schemas.config.estimator.dynamics import CommandTuning, DynamicsConfig
+from rpod_schemas.config.motion import CommandErrorConfig
+from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.topics import CHASER
+from rpod_schemas.types import Command
+from rpod_target import load_target
+
+BEGIN_NS, SECOND_NS = 10**18, 10**9
+ALONG = np.array([0.02, 0.0, 0.01])
+TURNING = Held(np.eye(3), 0.04)
+"""An attitude held in the frame of a fast orbit: a chaser that turns at 2.3 deg/s."""
+THRUST = Course(
+    load_target("mockup"), 5.0, {"target": "torque_free"}, scans_hz=3.0, tracked_s=30.0, approach_m=2.0,
+    thrusts=True, commands=CommandErrorConfig(), filter=AT_THEIR_WORD,
+)  # fmt: skip
+
+
+def command(after_s, acceleration=ALONG, variance=0.0):
+    stamp_ns = BEGIN_NS + round(after_s * SECOND_NS)
+    return Command(stamp_ns=stamp_ns, frame_id=CHASER, acceleration_m_s2=acceleration, variance=variance)
+
+
+def commanded(*commands, turning=None):
+    track = CommandTrack()
+    assert all(track.take(each) for each in commands)
+    return Commanded(turning or Held(), track, CommandTuning())
+
+
+def over(chaser, begin_s, end_s):
+    return chaser.step(*(BEGIN_NS + round(each * SECOND_NS) for each in (begin_s, end_s)))
+
+
+def test_a_command_holds_until_the_next_one():
+    step = over(commanded(command(0.0), command(0.5, np.zeros(3))), 0.0, 1.0)
+    np.testing.assert_allclose(step.speed_m_s, 0.5 * ALONG, rtol=1e-12)
+    np.testing.assert_allclose(step.way_m, (0.125 + 0.25) * ALONG, rtol=1e-12)
+    assert step.unforced_s == 0.0
+
+
+def test_a_command_holds_for_a_second_at_most():
+    step = over(commanded(command(0.0)), -0.5, 3.0)
+    np.testing.assert_allclose(step.speed_m_s, ALONG, rtol=1e-12)
+    assert step.unforced_s == pytest.approx(2.5)
+
+
+def test_without_a_command_the_acceleration_is_unknown():
+    step = over(commanded(), 0.0, 2.0)
+    assert not step.speed_m_s.any()
+    assert step.unforced_s == pytest.approx(2.0)
+
+
+def test_two_steps_are_one_step():
+    """The parts in which one attitude is used differ, so that the sum differs by little."""
+    thrusts = [command(0.1 * each, np.array([0.01, 0.002 * each, 0.0])) for each in range(20)]
+    chaser = commanded(*thrusts, turning=TURNING)
+    one, other, whole = (over(chaser, *span) for span in ((0.0, 0.73), (0.73, 1.9), (0.0, 1.9)))
+    for field in ("speed_m_s", "speed_by_bias"):
+        sum_ = getattr(one, field) + one.turn.T @ getattr(other, field)
+        np.testing.assert_allclose(sum_, getattr(whole, field), atol=2e-3 * np.abs(sum_).max())
+    way = one.way_m + 1.17 * one.speed_m_s + one.turn.T @ other.way_m
+    np.testing.assert_allclose(way, whole.way_m, atol=2e-3 * np.abs(way).max())
+    assert one.speed_variance + other.speed_variance == pytest.approx(whole.speed_variance)
+
+
+def test_a_turning_chaser_thrusts_along_its_own_axes():
+    step = over(commanded(*(command(0.5 * each) for each in range(4)), turning=TURNING), 0.0, 2.0)
+    times_s = (np.arange(2000) + 0.5) / 1000.0
+    turns = [TURNING.turn(0, round(each * SECOND_NS)) for each in times_s]
+    np.testing.assert_allclose(step.speed_m_s, 0.001 * sum(turn.T @ ALONG for turn in turns), rtol=1e-3)
+
+
+def test_the_derivatives_are_those_of_the_executed_acceleration():
+    errors, sigma = np.array([0.5, -0.3, 0.8, 0.2]), 1e-4
+    step = over(commanded(command(0.0, variance=sigma**2), turning=TURNING), 0.0, 0.8)
+    e = ALONG / np.linalg.norm(ALONG)
+    executed = ALONG + sigma * (errors[0] * e + np.cross(errors[1:], e))
+    wrong = over(commanded(command(0.0, executed), turning=TURNING), 0.0, 0.8)
+    np.testing.assert_allclose(
+        step.speed_m_s + step.speed_by_bias @ errors, wrong.speed_m_s, rtol=1e-9, atol=1e-15
+    )
+    np.testing.assert_allclose(step.way_m + step.way_by_bias @ errors, wrong.way_m, rtol=1e-9, atol=1e-15)
+
+
+def test_a_command_that_is_not_newer_is_not_used():
+    track = CommandTrack()
+    assert track.take(command(1.0))
+    assert not track.take(command(1.0))
+    assert not track.take(command(0.5))
+    assert not track.covers(BEGIN_NS)  # the period is not known yet
+    assert track.is_known(BEGIN_NS + round(1.9 * SECOND_NS))
+    assert not track.is_known(BEGIN_NS + round(2.1 * SECOND_NS))
+    assert track.take(command(1.2))
+    assert track.covers(BEGIN_NS + round(1.3 * SECOND_NS))
+    track.forget()
+    assert track.take(command(0.5))
+
+
+def test_thrust_in_a_gap_is_known_by_the_commands():
+    found = [fly(replace(THRUST, dynamics={"target": "torque_free", "command": {}}), seed) for seed in (1, 2)]
+    without = fly(THRUST, 1)
+    assert without.position_m > 5.0 * found[0].position_m
+    assert all(each.position_m < 0.15 and each.nees < 20.0 for each in found)
+    assert found[0].sigma_m < 0.3
+    assert "thrust_errors_sigma" in evidence_of(found[0].state)
+
+
+def test_commands_that_are_not_executed_are_doubted_and_told(monkeypatch):
+    """The valves stay shut, so that the chaser drifts."""
+    monkeypatch.setattr(Thrusters, "command", lambda _, __, time_s: command(time_s, ALONG))
+    course = replace(
+        THRUST, thrusts=False, approach_m=0.3, gap_s=0.0, dynamics={"target": "torque_free", "command": {}}
+    )
+    found = fly(course, 1)
+    assert doubts(found.state) == (CHASER_TURNS, COMMAND_DOUBTED)
+    assert evidence_of(found.state)[COMMAND_DOUBTED] == 1.0
+    assert "guidance/command" in told(doubts(found.state))
+    assert found.tracked_m < 0.02
+
+
+def test_two_sources_of_one_acceleration_are_refused():
+    both = {"command": {}, "imu": {"acceleration_bias_sigma_m_s2": 1e-4}}
+    with pytest.raises(ConfigurationError, match="leave out command, or imu"):
+        check(DynamicsConfig, both, source="here")
