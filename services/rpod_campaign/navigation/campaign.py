@@ -87,6 +87,7 @@ def _found(options: Options, name: str) -> Scenario:
         (scenario.faults, "faults (the campaign 'faults' plays such)"),
         (scenario.motion.joints, "joints that move"),
         (scenario.estimator.dynamics.imu, "an IMU of the chaser"),
+        (scenario.estimator.dynamics.command, "commands of the chaser"),
     ):
         if has:
             reason = f"{name} has {what}, which this campaign does not play: give a copy of the file without"
