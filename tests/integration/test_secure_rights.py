@@ -37,7 +37,7 @@ SENDERS = {
     "camera": {"emulator", "driver"},
     "LIDAR": {"emulator"},
     "estimator": {"estimator"},
-    "the user's guidance": {"guidance"},
+    "the user's guidance, or motion": {"guidance", "motion"},
     "the chaser, or motion": {"chaser", "motion"},
     "emulator, proxy, supervisor, logger": {"emulator", "proxy", "operator", "logger"},
     "every service": {member.name for member in members()},

@@ -132,14 +132,18 @@ def _free(config: DynamicsConfig, target: Target) -> Dynamics:
             tuning.angular_acceleration_density_rad2_s3 if torque_free else None
         ),
     )
+    return Dynamics(model, tuple(blocks), imu, commands, _assumption(config))
+
+
+def _assumption(config: DynamicsConfig) -> str:
+    """Return what is assumed of the chaser's rotation without an IMU, with the remedy."""
+    if config.imu is not None:
+        return ""
     held = "in the orbital frame" if config.orbit is not None else "in inertial space"
-    assumption = (
-        ""
-        if imu is not None
-        else f"dynamics: the chaser is assumed to hold its attitude {held}; if it turns, "
-        "the track goes on at a constant rate and bridges no gap: set dynamics.imu"
+    return (
+        f"dynamics: the chaser is assumed to hold its attitude {held}; if it turns, the track goes on at a "
+        "constant rate and bridges no gap: set dynamics.imu"
     )
-    return Dynamics(model, tuple(blocks), imu, commands, assumption)
 
 
 def _block(name: str, size: int, sigma: float) -> Block:
