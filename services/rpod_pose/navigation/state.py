@@ -10,7 +10,7 @@ from rpod_pose.belief import PixelMarks, Record
 from rpod_pose.navigation.challenger import Challenger
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.first_pose.searches import AGE_S, SEARCHING, Search
-from rpod_pose.navigation.history import History
+from rpod_pose.navigation.history import History, Step
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.joining import Separation
@@ -153,7 +153,9 @@ class Output:
     measured: Registration | None = None
     """Pose that was measured in the frame, unfiltered, sensor axes; None without a track, or if the pose was
     refused."""
-
+    compared: Step | None = None
+    """Comparison of a pose with the track that does not use it, of a sensor that is on probation, or that the
+    gate refused; None for any other frame."""
     cause: Cause = Cause.OTHER
     """Kind of the status's reason, if there is one."""
     search: str = ""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rpod_pose.navigation.filter import POSE, FilterState, predict, separation_of
+from rpod_pose.navigation.filter import POSE, TWIST, FilterState, gate_nis, predict, separation_of
 from rpod_pose.navigation.history import Step
 from rpod_pose.navigation.integrity.clocks import Late, Pair, clock_test
 from rpod_pose.navigation.integrity.levels import Solution, declared_covariance
@@ -46,7 +46,9 @@ class Apart:
 
 
 def apart_of(step: Step, without: FilterState, earlier: FilterState, config: FilterConfig) -> Apart | None:
-    """Return how far a frame's pose is from the track without its sensor; None if it was refused.
+    """Return how far a frame's pose is from the track without its sensor; None if it tells no clock.
+
+    Before the motion is known, what a clock does would count as what all frames share.
 
     The error of this track lasts in part, and is new in part at each frame. So its covariance counts both in
     the noise of the frame and in what all frames share.
@@ -61,8 +63,6 @@ def apart_of(step: Step, without: FilterState, earlier: FilterState, config: Fil
         config: the filter's configuration.
     """
     predicted, found, measured = step.predicted, step.outcome, step.measurement
-    if not found.accepted:
-        return None
     without = predict(without, measured.stamp_ns, config)
     d = found.innovation.difference + separation_of(predicted, without)
     shared = shared_errors(measured, config, predicted.blocks)
@@ -73,6 +73,8 @@ def apart_of(step: Step, without: FilterState, earlier: FilterState, config: Fil
     )
     moving = predict(earlier, measured.stamp_ns, config)
     moved = -np.concatenate([moving.velocity_m_s, moving.rate_rad_s])
+    if not moved @ np.linalg.solve(moving.covariance[TWIST, TWIST], moved) > gate_nis(moving, config):
+        return None
     by = np.column_stack([moved, np.eye(6)])
     if not (np.isfinite(d).all() and np.isfinite(noise).all() and np.isfinite(lasting).all()):
         return None

@@ -117,16 +117,31 @@ def declared_covariance(
         followed: share of an error of the ranges that the estimate has; less than 1 where the apparent size
             tells the distance too.
     """
-    mount_rad = np.deg2rad(config.mount_sigma_deg)
-    turned = np.vstack([-cross_matrix(place_m), np.eye(3)])
-    late, along = np.concatenate([velocity_m_s, rate_rad_s]), np.concatenate([place_m, np.zeros(3)])
-    covariance: FloatArray = (
-        mount_rad**2 * turned @ turned.T
-        + config.clock_sigma_s**2 * np.outer(late, late)
-        + (followed * config.tuning.range_share) ** 2 * np.outer(along, along)
-    )
-    covariance[POSITION, POSITION] += config.mount_sigma_m**2 * np.eye(3)
+    columns = declared_errors(config, place_m, velocity_m_s, rate_rad_s, followed=followed)
+    covariance: FloatArray = columns @ columns.T
     return covariance
+
+
+def declared_errors(
+    config: IntegrityConfig,
+    place_m: FloatArray,
+    velocity_m_s: FloatArray,
+    rate_rad_s: FloatArray,
+    *,
+    followed: float = 1.0,
+) -> FloatArray:
+    """Return what declared errors of one standard deviation do to (dp, dtheta), shape (6, 8).
+
+    The columns are those of the mount's attitude and of its place about and along each axis, of the clock,
+    and of the ranges. Arguments as for ``declared_covariance``.
+    """
+    mount_rad = np.deg2rad(config.mount_sigma_deg)
+    columns = np.zeros((6, 8))
+    columns[:, :3] = mount_rad * np.vstack([-cross_matrix(place_m), np.eye(3)])
+    columns[POSITION, 3:6] = config.mount_sigma_m * np.eye(3)
+    columns[:, 6] = config.clock_sigma_s * np.concatenate([velocity_m_s, rate_rad_s])
+    columns[POSITION, 7] = followed * config.tuning.range_share * place_m
+    return columns
 
 
 def above(levels: Levels, limit_deg: float, limit_m: float) -> str:

@@ -16,7 +16,7 @@ from itertools import combinations
 
 import numpy as np
 
-from rpod_pose.navigation.filter import FilterState, predict
+from rpod_pose.navigation.filter import FilterState, gate_nis, predict
 from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.history import Step, after
 from rpod_pose.navigation.integrity.clock_frames import TwoClocks, apart_of, two_clocks
@@ -35,6 +35,7 @@ from rpod_pose.navigation.integrity.older import older_solutions, rival_solution
 from rpod_pose.navigation.integrity.refused import refused_solutions, turning_solutions
 from rpod_pose.navigation.integrity.residuals import (
     Statistic,
+    lasting_errors,
     residual_of,
     residual_tests,
     separation_test,
@@ -115,8 +116,8 @@ class Monitor:
                 status.sensor, status.stamp_ns, output.measured, self._tuning.memory_s
             )
             memory = replace(memory, sensor=status.sensor, frames=frames)
-        step = None
-        if state.history is not None and np.isfinite(status.nis):
+        step = output.compared
+        if step is None and state.history is not None and np.isfinite(status.nis):
             step = state.history.applied_at(status.stamp_ns, status.sensor)
         return memory if step is None else self._measured(memory, state, status.sensor, step)
 
@@ -125,15 +126,18 @@ class Monitor:
         predicted, measured = step.predicted, step.measurement
         if measured.origin is not None:
             memory = replace(memory, mounts={**memory.mounts, sensor: measured.origin.T_chaser_sensor})
-        residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns)
+        lasting = lasting_errors(predicted, step.outcome.innovation, self._config)
+        residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns, lasting)
         if residual is not None:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
         before = memory.former_at(sensor, measured.stamp_ns) if sensor == memory.slow else None
-        if before is not None:
+        known = step.outcome.accepted or (
+            residual is not None and residual.delayed_square() <= gate_nis(predicted, self._filter)
+        )
+        if before is not None and known:
             apart = apart_of(step, *before, self._filter)
             memory = memory.with_apart(sensor, apart, self._tuning.memory_s)
-        alone = _without_newcomers(state, sensor, measured.stamp_ns, self._filter)
-        without = self._without(memory, sensor, alone or predicted, predicted, measured)
+        without = self._without(memory, state, sensor, predicted, measured)
         sized: SizedFilters = {}
         if len(memory.residuals) < 2:
             sized = sized_after(memory.sized, memory.frames.newest_sizes(sensor), step, self._filter)
@@ -142,23 +146,24 @@ class Monitor:
     def _without(
         self,
         memory: Memory,
+        state: NavigatorState,
         sensor: str,
-        alone: FilterState,
         predicted: FilterState,
         measured: PoseMeasurement,
     ) -> Mapping[str, FilterState]:
         """Return the filters without one sensor after a measurement of ``sensor``; none for one sensor.
 
-        That without ``sensor`` begins with ``alone`` if there is none yet.
+        A filter without a newcomer begins with the track that has not used its frames.
         """
         if len(memory.residuals) < 2:
             return {}
         found = {name: each for name, each in memory.without.items() if name in memory.residuals}
         for name in memory.residuals:
+            alone = _without_newcomers(state, name, measured.stamp_ns, self._filter)
             if name == sensor:
-                found.setdefault(name, alone)
+                found.setdefault(name, alone or predicted)
             elif name not in found:
-                found[name] = started(
+                found[name] = alone or started(
                     measured, config=self._filter, centre_of_mass_m=predicted.centre_of_mass_m,
                     alike=predicted.alike, blocks=unknown(predicted.blocks),
                     model=predicted.model,
@@ -183,10 +188,10 @@ class Monitor:
     ) -> tuple[list[Statistic], dict[str, float]]:
         tests: list[Statistic] = []
         evidence: dict[str, float] = {}
+        dof, period_s = estimate.alike.dof, self._tuning.correlated_s
+        several = len(memory.residuals) > 1
         for name, residuals in memory.residuals.items():
-            found, numbers = residual_tests(
-                name, residuals, dof=estimate.alike.dof, correlated_s=self._tuning.correlated_s
-            )
+            found, numbers = residual_tests(name, residuals, dof=dof, correlated_s=period_s, several=several)
             tests += found
             evidence |= numbers
         range_m = float(np.linalg.norm(memory.place_m(estimate)))
@@ -201,7 +206,8 @@ class Monitor:
                 if memory.without[name].stamp_ns <= estimate.stamp_ns
             ]
             if len(there) == 2:
-                tests.append(separation_test(f"the solutions without {one} and without {other}", *there))
+                name = f"the solutions without {one} and without {other}"
+                tests.append(separation_test(name, there[0], there[1], self._config))
         for offset in mount_offsets(estimate, self._limits, self._filter.mount_sigma_m):
             cause = clock_of_mounts(offset, estimate)
             tests.append(
@@ -257,10 +263,10 @@ class Monitor:
         test does not make an estimate unavailable. The hypotheses that one of several sensors, or its clock,
         is wrong are left out if the levels with them are above the limits. A part of a sensor's data is left
         out if its own error is above the limits. Sizes that no frame can exclude are left out if the levels
-        with them are above the limits. The text names the exception, but that of a clock.
+        with them are above the limits. The text names the exception.
         """
         share = self._tuning.fault_share
-        solutions = [solution("", estimate, estimate, 1.0)]
+        solutions, less = [solution("", estimate, estimate, 1.0)], ""
         assert state.history is not None  # noqa: S101 - guaranteed by the caller
         solutions += older_solutions(state.history, estimate, self._filter, self._tuning)
         solutions += refused_solutions(state.history, share)
@@ -271,16 +277,15 @@ class Monitor:
             estimate, self._config.risk, share, self._tuning.correlated_s, shifts
         )
         solutions += other_sizes
-        place_m, moving = memory.place_m(estimate), (estimate.velocity_m_s, estimate.rate_rad_s)
-        without = memory.without_at(estimate.stamp_ns, self._filter)
+        place_m, without = memory.place_m(estimate), memory.without_at(estimate.stamp_ns, self._filter)
         followed = memory.frames.ranges_followed(estimate, without, place_m)
-        unseen = declared_covariance(self._config, place_m, *moving, followed=followed)
+        twist = estimate.velocity_m_s, estimate.rate_rad_s
+        unseen = declared_covariance(self._config, place_m, *twist, followed=followed)
 
         def levels_of(chosen: Sequence[Solution]) -> Levels:
             return protection_levels(chosen, unseen, self._config.risk)
 
         parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
-        less = ""
         for part in parts:
             if vague := above(levels_of([part.agreeing]), *limit):
                 less = f"{SIZE_BELIEVED}: {vague}"
@@ -291,9 +296,10 @@ class Monitor:
         else:
             solutions += between
         if clocks is not None:
-            of_clocks = clocks.solutions(estimate, share)
-            if not above(levels_of([*solutions, *of_clocks]), *limit):
-                solutions += of_clocks
+            with_clocks = [*solutions, *clocks.solutions(estimate, share)]
+            if over := above(levels_of(with_clocks), *limit):
+                less = less or f"{DECLARED_ONLY}: {over}"
+            solutions = solutions if over else with_clocks
         of_sensors = [solution(f"without {name}", estimate, other, share) for name, other in without.items()]
         levels = levels_of([*solutions, *of_sensors])
         if of_sensors and (over := above(levels, *limit)):
@@ -380,10 +386,11 @@ class Monitor:
 def _without_newcomers(
     state: NavigatorState, sensor: str, stamp_ns: int, config: FilterConfig
 ) -> FilterState | None:
-    """Return the filter without a sensor that has joined the track of others; None for an established one.
+    """Return the filter without a sensor that is no part of the track; None for an established one.
 
     Before it joined, its frames were in the other filter already.
     """
-    if state.separation is None or sensor in state.established:
+    if sensor in state.established or not state.established:
         return None
-    return state.separation.without.at(stamp_ns, config)
+    track = state.history if state.separation is None else state.separation.without
+    return None if track is None else track.at(stamp_ns, config)

@@ -6,24 +6,44 @@ as the number m of periods of ``correlated_s`` that they span. Then m times the 
 tail of chi-squared with 6 m degrees of freedom, and m |mean of z|^2 at most that with 6, whatever the
 correlation within a period is. The tests alert too seldom rather than too often.
 
+Errors that last longer than a period do not average out. With two sensors they are in the innovations: the
+track follows the errors of the one, the frame has those of the other. They are the considered states of the
+filter, and what is declared of mount, clock and ranges of both sensors. With G_k what one standard deviation
+of each of them does to z_k, the residuals have the covariance 1 + G G^T, and their mean has 1 / m + the mean
+of G times its transpose. Both tests use these covariances (as a Schmidt-Kalman filter does, S. F. Schmidt
+1966). For a single sensor what is declared does not count: its track has the same errors as its frames.
+
 A stamp that is late by tau moves the measured pose by -tau (v, w), so that the mean of z is -tau L^-1 (v, w).
 The least-squares estimate of tau shows whether the clock is the cause (Parkinson and Axelrad 1988 treat a
 bias likewise).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import sqrt
+from types import MappingProxyType
 
 import numpy as np
 
-from rpod_pose.navigation.filter import POSE, FilterState, Innovation, separation_of
-from rpod_pose.navigation.integrity.levels import chi2_limit
+from rpod_pose.navigation.filter import POSE, UNSEEN, FilterState, Innovation, separation_of
+from rpod_pose.navigation.filter.blocks import placed
+from rpod_pose.navigation.filter.prediction import turn_of_view_rad
+from rpod_pose.navigation.filter.state import MOTION
+from rpod_pose.navigation.integrity.levels import chi2_limit, declared_covariance, declared_errors
 from rpod_schemas.arrays import FloatArray
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import rotation_matrix
 
 EXPLAINED = 0.5
 """Least share of a bias that a clock must explain to be named as the cause. Hand: more than all other causes
 together."""
+DECLARED = "declared errors of two sensors"
+"""Name of the lasting errors of mounts, clocks and ranges, which count only if several sensors measure."""
+
+Lasting = Mapping[str, FloatArray]
+"""What one standard deviation of each lasting error does to an innovation, shape (6, n), by their name."""
+NONE_LASTS: Lasting = MappingProxyType({})
+"""No lasting errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +55,18 @@ class Residual:
     """Whitened innovation of (dp, dtheta), in standard deviations, shape (6,)."""
     late: FloatArray
     """Derivative of z with respect to the delay of the stamp, 1/s, shape (6,)."""
+    lasting: Lasting = field(default_factory=dict)
+    """What lasting errors do to z."""
+
+    def delayed_square(self) -> float:
+        """Return the square of z, with the lasting errors of two sensors, at the likeliest delay.
+
+        A pose that the gate refuses for its stamp alone is within the gate by this square.
+        """
+        G = _lasting([self], several=True)
+        product = _Product(1.0, G)
+        square, information = product.of(self.z, self.z), product.of(self.late, self.late)
+        return square - (product.of(self.late, self.z) ** 2 / information if information > 0.0 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -64,18 +96,54 @@ class Statistic:
         return chi2_limit(max(risk, self.least_risk), self.dof)
 
 
-def separation_test(name: str, one: FilterState, other: FilterState) -> Statistic:
+def separation_test(
+    name: str, one: FilterState, other: FilterState, config: IntegrityConfig | None = None
+) -> Statistic:
     """Return the test whether two solutions differ by more than their covariances together allow.
 
     Solutions that share measurements differ by less than that, so the test alerts too seldom.
+
+    Args:
+        name: what is tested, in words.
+        one: a solution.
+        other: another one, at the same stamp.
+        config: declared errors, which solutions of two sensors do not share; None for those of one sensor.
     """
     apart = separation_of(one, other)
     covariance = one.covariance[POSE, POSE] + other.covariance[POSE, POSE]
+    if config is not None:
+        place_m = one.T_chaser_target.translation
+        covariance = covariance + 2.0 * declared_covariance(config, place_m, one.velocity_m_s, one.rate_rad_s)
     covariance = one.alike.with_free_variance(covariance, rotation_matrix(one.T_chaser_target), 1.0)
     return Statistic(name, float(apart @ np.linalg.solve(covariance, apart)), one.alike.dof)
 
 
-def residual_of(predicted: FilterState, found: Innovation, stamp_ns: int) -> Residual | None:
+def lasting_errors(predicted: FilterState, found: Innovation, config: IntegrityConfig) -> Lasting:
+    """Return what errors that last longer than a period of the tests do to an innovation.
+
+    A considered state of which a share r is left after a period counts by the root of r: the errors of two
+    successive periods then have the right covariance, those of later ones a larger one.
+
+    Args:
+        predicted: prediction to the measurement's stamp.
+        found: the innovation.
+        config: declared errors, and the period.
+    """
+    period_s = config.tuning.correlated_s
+    turn_rad = turn_of_view_rad(predicted, period_s)
+    lasting: dict[str, FloatArray] = {}
+    for block, place in placed(predicted.blocks, MOTION.stop):
+        if block.considered and block.name != UNSEEN:
+            share = block.kept(period_s, turn_rad)
+            lasting[block.name] = sqrt(share) * found.cross[:, place] / block.sigma
+    moving = (predicted.velocity_m_s, predicted.rate_rad_s)
+    lasting[DECLARED] = sqrt(2.0) * declared_errors(config, predicted.T_chaser_target.translation, *moving)
+    return lasting
+
+
+def residual_of(
+    predicted: FilterState, found: Innovation, stamp_ns: int, lasting: Lasting = NONE_LASTS
+) -> Residual | None:
     """Return the residual of a measurement against the prediction to its stamp; None if it is not finite."""
     y, S = found.difference, found.covariance
     if not (np.isfinite(y).all() and np.isfinite(S).all()):
@@ -85,8 +153,10 @@ def residual_of(predicted: FilterState, found: Innovation, stamp_ns: int) -> Res
     except np.linalg.LinAlgError:
         return None
     twist = np.concatenate([predicted.velocity_m_s, predicted.rate_rad_s])
-    white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist])).astype(np.float64)
-    return Residual(stamp_ns, white[:, 0], white[:, 1])
+    white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist, *lasting.values()])).astype(np.float64)
+    ends = np.cumsum([2, *(each.shape[1] for each in lasting.values())])
+    parts = dict(zip(lasting, np.split(white, ends[:-1], axis=1)[1:], strict=True))
+    return Residual(stamp_ns, white[:, 0], white[:, 1], parts)
 
 
 def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tuple[Residual, ...]:
@@ -96,7 +166,7 @@ def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tu
 
 
 def residual_tests(
-    sensor: str, residuals: Sequence[Residual], *, dof: int, correlated_s: float
+    sensor: str, residuals: Sequence[Residual], *, dof: int, correlated_s: float, several: bool = False
 ) -> tuple[tuple[Statistic, ...], dict[str, float]]:
     """Return the tests of a sensor's residuals, and the estimate of its clock's offset as evidence.
 
@@ -105,26 +175,62 @@ def residual_tests(
         residuals: its residuals in the window, at least one.
         dof: degrees of freedom of a pose: 6, less with a free axis.
         correlated_s: time within which residuals count as one.
+        several: whether several sensors measure, so that their declared errors are in the residuals.
     """
     z = np.array([each.z for each in residuals])
     late = np.array([each.late for each in residuals])
     span_s = (residuals[-1].stamp_ns - residuals[0].stamp_ns) * 1e-9
     periods = periods_of(len(z), span_s, correlated_s)
-    mean = z.mean(axis=0)
-    bias = periods * float(mean @ mean)
-    information = periods * float((late**2).sum(axis=1).mean())
+    G = _lasting(residuals, several=several)
+    mean, shared = z.mean(axis=0), G.mean(axis=0)
+    bias = float(mean @ np.linalg.solve(np.eye(6) / periods + shared @ shared.T, mean))
+    product = _Product(periods / len(z), G)
+    information = product.of(late, late)
     evidence, cause = {}, ""
     if information > 0.0:
-        offset_s = periods * float((late * z).sum(axis=1).mean()) / information
+        offset_s = product.of(late, z) / information
         sigma_s = information**-0.5
         evidence = {f"{sensor}_stamps_late_s": offset_s, f"{sensor}_stamps_late_sigma_s": sigma_s}
         share = offset_s**2 * information / bias if bias else 0.0
         if share > EXPLAINED:
             cause = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain {share:.0%}"
-    size = Statistic(
-        f"{sensor}: size of its residuals", periods * float((z**2).sum(axis=1).mean()), dof * periods, cause
-    )
+    size = Statistic(f"{sensor}: size of its residuals", product.of(z, z), dof * periods, cause)
     return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence
+
+
+def _lasting(residuals: Sequence[Residual], *, several: bool) -> FloatArray:
+    """Return what all lasting errors do to each of N residuals, shape (N, 6, n)."""
+    sizes = {name: each.shape[1] for residual in residuals for name, each in residual.lasting.items()}
+    if not several:
+        sizes.pop(DECLARED, None)
+    G = np.zeros((len(residuals), 6, sum(sizes.values())))
+    first = 0
+    for name, size in sizes.items():
+        for k, residual in enumerate(residuals):
+            if name in residual.lasting:
+                G[k, :, first : first + size] = residual.lasting[name]
+        first += size
+    return G
+
+
+class _Product:
+    """The product of two series a, b of whitened vectors, a^T (1 + G G^T)^-1 b, shape (N, 6) each.
+
+    It is computed with the inverse of (1 + G^T G), which is small (M. A. Woodbury 1950).
+
+    Args:
+        counted: number of independent frames as which one frame counts.
+        G: what one standard deviation of each lasting error does to each frame, shape (N, 6, n).
+    """
+
+    def __init__(self, counted: float, G: FloatArray) -> None:
+        self._counted, self._G = counted, G.reshape(G.shape[0] * G.shape[1], G.shape[2])
+        self._inner = np.eye(G.shape[2]) + counted * self._G.T @ self._G
+
+    def of(self, a: FloatArray, b: FloatArray) -> float:
+        """Return the product of two series."""
+        left, right = (self._counted * self._G.T @ each.ravel() for each in (a, b))
+        return float(self._counted * a.ravel() @ b.ravel() - left @ np.linalg.solve(self._inner, right))
 
 
 def periods_of(count: int, span_s: float, correlated_s: float) -> float:

@@ -72,9 +72,14 @@ class Newcomers:
         since_s = separation.including.since_s(event.stamp_ns, event.sensor)  # on probation too
         measured = replace(as_measured(registration, event), since_s=since_s)
         grown, nis, accepted = apply(separation.including, measured, self._config, predicted)
+        beside = None
+        if not (accepted and separation.joined):
+            track = apply(separation.published, measured, self._config).history
+            beside = track.applied_at(event.stamp_ns, event.sensor)
         if not accepted:
             state = state if separation.joined else replace(state, separation=None)
-            return state, self._output(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+            output = self._output(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+            return state, replace(output, compared=beside)
         if self._are_silent(state, event):
             alone = state.established | {event.sensor}
             state = replace(state, established=alone, separation=None, history=grown)
@@ -82,7 +87,8 @@ class Newcomers:
             state = replace(state, separation=replace(separation, including=grown))
             if not separation.joined:
                 reason = probation(state.established)
-                return state, self._output(state, event, registration, reason=reason, nis=nis)
+                output = self._output(state, event, registration, reason=reason, nis=nis)
+                return state, replace(output, compared=beside)
             state = replace(state, history=grown)
         state = self._accepting(state, event, registration)
         return state, self._output(state, event, registration, nis=nis)

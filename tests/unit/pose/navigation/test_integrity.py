@@ -26,7 +26,7 @@ from rpod_pose.navigation.integrity.monitor import (
     Monitor,
 )
 from rpod_pose.navigation.integrity.refused import refused_solutions
-from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
+from rpod_pose.navigation.integrity.residuals import DECLARED, lasting_errors, residual_of, residual_tests
 from rpod_pose.navigation.integrity.sizes import shifts_of, sized_after
 from rpod_pose.navigation.integrity.wrong_streams import CLOCK_MOVED_S
 from rpod_pose.navigation.pose_measurement import Origin, PoseMeasurement
@@ -45,6 +45,7 @@ SECOND_NS = 1_000_000_000
 CONFIG = FilterConfig(acceleration_density_m2_s3=1e-5, angular_acceleration_density_rad2_s3=1e-6)
 SIGMA = SIGMA_M, SIGMA_RAD = 0.002, 0.002
 COVARIANCE = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 3)
+NO_FLOORS = CONFIG.model_copy(update={"position_floor_m": 0.0, "attitude_floor_deg": 0.0})
 NOTHING_UNSEEN = IntegrityConfig(
     mount_sigma_deg=0.0, mount_sigma_m=0.0, clock_sigma_s=0.0, tuning={"range_share": 0.0}
 )
@@ -387,6 +388,40 @@ def test_residuals_of_late_stamps_name_the_clock_and_its_offset():
     assert evidence["pmd_stamps_late_s"] == pytest.approx(0.5, abs=0.05)
     assert "stamps that are" in mean.describe(1e-6)
     assert size.dof == pytest.approx(6 * 40)
+
+
+def residuals_with(declared, generator, frames=6):
+    """Return residuals, once a second, of a sensor beside another one whose declared errors are in them."""
+    config = IntegrityConfig()
+    state = start(truth(0.0), 1e-4 * COVARIANCE, START_NS, config=NO_FLOORS)
+    found = []
+    for k in range(frames):
+        innovation = innovation_of(state, truth(0.0), COVARIANCE, config=NO_FLOORS, white=True)
+        lasting = lasting_errors(state, innovation, config)
+        noise = np.linalg.cholesky(innovation.covariance) @ generator.standard_normal(6)
+        innovation = innovation._replace(difference=noise + lasting[DECLARED] @ declared)
+        found.append(residual_of(state, innovation, START_NS + k * SECOND_NS, lasting))
+    return found
+
+
+def test_declared_errors_of_two_sensors_fail_no_test_more_often_than_its_risk():
+    generator, risk, trials = np.random.default_rng(169), 0.02, 1500
+    counts = {several: np.zeros(2) for several in (False, True)}
+    for _ in range(trials):
+        residuals = residuals_with(generator.standard_normal(8), generator)
+        for several, count in counts.items():
+            tests, _ = residual_tests("lidar", residuals, dof=6, correlated_s=1.0, several=several)
+            count += [test.exceeds_risk(risk) for test in tests]
+    assert (counts[True] / trials <= risk + 4.0 * np.sqrt(risk / trials)).all()
+    assert counts[False][1] / trials > 0.2, "without what is declared, the mean would be an alert"
+
+
+def test_an_error_far_beyond_what_is_declared_fails_the_test_of_the_mean():
+    turned = np.zeros(8)
+    turned[:3] = 30.0  # mounts 0.85 deg off about each axis
+    residuals = residuals_with(turned, np.random.default_rng(1))
+    (_, mean), _ = residual_tests("lidar", residuals, dof=6, correlated_s=1.0, several=True)
+    assert mean.exceeds_risk(1e-6)
 
 
 def test_frames_of_one_second_count_as_one_in_the_tests():

@@ -216,7 +216,7 @@ def test_the_solution_without_a_sensor_that_joins_has_never_seen_its_frames():
     assert desk.state.history is not None
     assert alone.state.history is not None
     by_lidar = alone.state.history.at(round(stamp_s * SECOND_NS), desk.settings.filter)
-    without = memory.without["pmd"]
+    without = memory.without_at(round(stamp_s * SECOND_NS), desk.settings.filter)["pmd"]
     np.testing.assert_allclose(
         without.T_chaser_target.as_matrix(), by_lidar.T_chaser_target.as_matrix(), atol=1e-12
     )
