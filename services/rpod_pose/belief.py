@@ -33,6 +33,16 @@ NOISE_M, STATED_NOISE_M = "range_noise_m", "stated_range_noise_m"
 assumed; poses have the larger one."""
 
 
+@dataclass(frozen=True)
+class Angle:
+    """Angle of a joint of the target."""
+
+    angle_rad: float
+    sigma_rad: float
+    """Standard deviation of the angle. If the angle is unknown, it is that of a uniform distribution between
+    the joint's limits."""
+
+
 @dataclass(frozen=True, eq=False)
 class Rival:
     """Another pose that explains a measurement about as well as the best one."""
@@ -42,6 +52,8 @@ class Rival:
     T_sensor_target: RigidTransform
     log_likelihood: float
     """Log likelihood of the measurement at this pose minus that at the best one."""
+    angles: Mapping[str, Angle] = field(default_factory=dict)
+    """Angles of the target's joints at this pose, by name; they differ from those at the best one."""
 
     @property
     def exact(self) -> bool:

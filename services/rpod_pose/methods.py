@@ -30,7 +30,8 @@ def methods_of(sensor: SensorInput, target: Target, setup: Any = ()) -> Methods:
     """
     kind = kind_methods(sensor)
     if target.joints and kind.tracker is not None and kind.points is not None:
-        return jointed(target, _rigid(sensor, setup, kind.tracker, kind.points))
+        rigid = _rigid(sensor, setup, kind.tracker, kind.points)
+        return jointed(target, replace(rigid, comparable=kind.comparable))
     if target.joints:  # their parts are ignored
         target = replace(posed(target, {}), reliable=target.fixed)
     whole = kind.make(Task(target, sensor, setup))

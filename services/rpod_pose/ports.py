@@ -12,7 +12,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rpod_pose.belief import Belief, doubtful
+from rpod_pose.belief import Angle, Belief, doubtful
 from rpod_pose.pose_evidence import ErrorParts, Misfit, OtherSize, PartSolution
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.types import BeliefLevel, Hypothesis, SensorFrame, Source
@@ -28,16 +28,6 @@ class Candidate:
     T_sensor_target: RigidTransform
     cost_m2: float
     """Cost in the method's own measure; lower is better."""
-
-
-@dataclass(frozen=True)
-class Angle:
-    """Angle of a joint of the target."""
-
-    angle_rad: float
-    sigma_rad: float
-    """Standard deviation of the angle. If the angle is unknown, it is that of a uniform distribution between
-    the joint's limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,5 +331,8 @@ class KindMethods:
     points: Callable[[Any], Any] | None = None
     """Function that returns the points of a frame, sensor axes, shape (N, 3). Without it or without
     ``tracker``, the parts of a target's joints are ignored like unreliable ones."""
+    comparable: bool = False
+    """Whether the log likelihoods of one frame may be compared between targets at different angles of their
+    joints. If not, no rivals of a target with joints are tracked with this kind of sensor."""
     missing: str = ""
     """Reason for which frames are rejected as long as these data are unknown."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_geometry.kernels import kernel
-from rpod_pose.ports import Angle
+from rpod_pose.belief import Angle
 from rpod_pose.registration.distance_field import FieldArrays, field_arrays, field_at
 from rpod_pose.registration.lie_group import Vector
 from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import Belief, Rival
+from rpod_pose.belief import Angle, Belief, Rival
 from rpod_pose.joints.angle_fit import SPREAD, Aligned, JointSolver, unknown
-from rpod_pose.ports import Acquirer, Acquisition, Angle, Methods, Registration, Tracker
+from rpod_pose.joints.same_state import State, are_same
+from rpod_pose.ports import Acquirer, Acquisition, Methods, Registration, Tracker
 from rpod_pose.search.hypotheses import NEGLIGIBLE
 from rpod_pose.search.turns import Turns
 from rpod_schemas.arrays import FloatArray
@@ -67,6 +68,8 @@ class RigidMethods:
     tracker: Callable[[Target], Tracker[Any]]
     points: Callable[[Any], FloatArray]
     """Function that returns the points of a frame, sensor axes, shape (N, 3)."""
+    comparable: bool = False
+    """Whether log likelihoods of targets at different angles may be compared."""
 
 
 def jointed(target: Target, rigid: RigidMethods) -> Methods:
@@ -93,14 +96,22 @@ class _Shared:
         methods = [rigid.methods(posed(target, {**middle, first.name: angle_rad})) for angle_rad in angles]
         self._searches = [(angle_rad, each.acquirer) for angle_rad, each in zip(angles, methods, strict=True)]
         self._deskew = methods[0].deskew
+        self._compares = rigid.comparable and methods[0].likelihoods is not None
         self._half_rad = 0.5 * STEP_RAD
         self._tracker_at = lru_cache(KEPT)(lambda key: rigid.tracker(posed(target, _unrounded(key))))
-        self._acquirer_at = lru_cache(1)(lambda key: rigid.methods(posed(target, _unrounded(key))).acquirer)
+        self._methods_at = lru_cache(KEPT)(lambda key: rigid.methods(posed(target, _unrounded(key))))
 
     def expecting(self, angles: Angles) -> Methods:
         """Return the methods for expected angles."""
         tracker = _Tracker(self, angles)
-        return Methods(_Acquirer(self, tracker, angles), tracker, self._deskew, expecting=self.expecting)
+        acquirer = _Acquirer(self, tracker, angles)
+        likelihoods = self.log_likelihoods if self._compares else None
+        return Methods(acquirer, tracker, self._deskew, likelihoods, expecting=self.expecting)
+
+    def log_likelihoods(self, frame: Any, found: Sequence[Registration], /) -> FloatArray:
+        """Return the log likelihoods of a frame at poses, each with the target at its own angles, (N,)."""
+        each_at = [(self._methods_at(_rounded(each.angles)).likelihoods, each) for each in found]
+        return np.array([float(at(frame, [each])[0]) for at, each in each_at if at is not None])
 
     def searches(self, expected: Angles) -> list[Acquirer[Any]]:
         """Return the searches at the angles that the first joint may have."""
@@ -118,7 +129,7 @@ class _Shared:
 
     def acquirer_at(self, angles: Angles) -> Acquirer[Any]:
         """Return the search of the target at rounded angles."""
-        return self._acquirer_at(_rounded(angles))
+        return self._methods_at(_rounded(angles)).acquirer
 
     def points_of(self, frame: Any) -> FloatArray:
         """Return points of a frame, sensor axes, shape (N, 3), m."""
@@ -206,9 +217,63 @@ class _Acquirer:
         if best.pose is not None and _are_apart(registration.angles, found[0].angles):
             again = self._tracker.registered(measurement, best.pose, registration.angles)
             registration = again if again.continues_track else registration
-        belief = _with_rivals(best.belief, found, self._shared.alike)
+        belief = self._with_rivals(measurement, registration, best.belief, found)
         templates = best.templates + sum(each.templates for each in searched)
         return replace(best, registration=replace(registration, belief=belief), templates=templates)
+
+    def _with_rivals(
+        self, measurement: Any, best: Registration, belief: Belief, found: Sequence[Registration]
+    ) -> Belief:
+        """Return the belief in a pose with its rivals, each at the angles that the frame shows at its pose.
+
+        Args:
+            measurement: the frame.
+            best: the pose, with its angles.
+            belief: belief in it among the poses at the same angles.
+            found: registrations, best first, each at angles of its own.
+        """
+        if best.T_sensor_target is None or not belief.continues_track:
+            return belief
+        pose = best.T_sensor_target
+        same = [self._are_same(pose, best.angles, other.T_sensor_target, other.angles) for other in found]
+        compared = found[same.index(True)] if any(same) else best
+        rivals = []
+        for other, is_best in zip(found, same, strict=True):
+            there = other.T_sensor_target
+            if is_best or there is None or not other.continues_track or not _explains_alike(compared, other):
+                continue
+            turn_deg = degrees(_turn_rad(pose, there, self._shared.alike))
+            less = float(np.nan_to_num(other.log_likelihood - compared.log_likelihood))
+            name = f"turned by {turn_deg:.0f} deg, at other angles of the joints"
+            rivals.append(Rival(name, there, less, other.angles))
+        at_angles = [
+            replace(each, angles=self._tracker.angles(measurement, each.T_sensor_target))
+            for each in belief.rivals
+        ]
+        own = [
+            each
+            for each in at_angles
+            if not any(
+                self._are_same(each.T_sensor_target, each.angles, other.T_sensor_target, other.angles)
+                for other in rivals
+            )
+        ]
+        if not rivals:
+            return replace(belief, rivals=tuple(own))
+        reason = f"{len(rivals) + 1} poses explain the measurement: the next is {rivals[0].name}"
+        return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=(*own, *rivals))
+
+    def _are_same(
+        self, pose: RigidTransform, angles: Angles, other: RigidTransform | None, others: Angles
+    ) -> bool:
+        """Return whether two poses with their angles are the same, modulo the exact symmetries."""
+        return other is not None and are_same(
+            State(rotation_matrix(pose), angles),
+            State(rotation_matrix(other), others),
+            alike=self._shared.alike,
+            axes={joint.name: joint.axis for joint in self._shared.solver.joints},
+            within_rad=DISTINCT_RAD,
+        )
 
     def _aligned(self, measurement: Any, poses: Sequence[RigidTransform]) -> list[Aligned]:
         """Return distinct poses with their angles, best first, from poses and their near-symmetries."""
@@ -281,30 +346,6 @@ def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
     apart_rad = [abs(angle.angle_rad - other.angles[name].angle_rad) for name, angle in one.angles.items()]
     turned_rad = _turn_rad(one.T_sensor_target, other.T_sensor_target, alike)
     return max(turned_rad, *apart_rad) < DISTINCT_RAD
-
-
-def _with_rivals(belief: Belief, found: Sequence[Registration], alike: Equivalence) -> Belief:
-    """Return a belief with the poses at other angles that explain the frame equally well as rivals.
-
-    Args:
-        belief: belief in the best pose.
-        found: registrations, best first, each at angles of its own.
-        alike: which attitudes no measurement distinguishes.
-    """
-    best = found[0]
-    rivals = []
-    for other in found[1:]:
-        pose = other.T_sensor_target
-        assert best.T_sensor_target is not None and pose is not None  # noqa: S101, PT018 - all have poses
-        turned_rad = _turn_rad(best.T_sensor_target, pose, alike)
-        if other.continues_track and turned_rad > DISTINCT_RAD and _explains_alike(best, other):
-            name = f"turned by {degrees(turned_rad):.0f} deg, at other angles of the joints"
-            less = np.nan_to_num(other.log_likelihood - best.log_likelihood)
-            rivals.append(Rival(name, pose, float(less)))
-    if not rivals or not belief.continues_track:
-        return belief
-    reason = f"{len(rivals) + 1} poses explain the measurement: the next is {rivals[0].name}"
-    return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=(*belief.rivals, *rivals))
 
 
 def _explains_alike(best: Registration, other: Registration) -> bool:

@@ -196,6 +196,7 @@ LIDAR_METHODS = KindMethods(
     separation=scan_frames,
     tracker=make_tracker,
     points=lambda scan: scan.returns_m,
+    comparable=True,
     missing="no scan pattern: neither lidar info, the points nor the configuration state it; let the driver "
     "publish its info, or set azimuth_rad and elevation_rad of the sensor",
 )

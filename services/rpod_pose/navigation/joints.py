@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from rpod_pose.ports import Angle
+from rpod_pose.belief import Angle
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
 from rpod_target import Joint

@@ -89,7 +89,7 @@ class Navigator:
         self._beginning = Beginning(
             settings, centre_of_mass_m=centre_of_mass_m, alike=alike, joints=joints, dynamics=dynamics
         )
-        self._parallel = ParallelTracks(self._beginning.filter_at, settings.filter, alike)
+        self._parallel = ParallelTracks(self._beginning, settings.filter, alike)
         self._registrar = Registrar(methods, vague_deg=self._limits.tuning.vague_deg)
         self._catching_up = CatchingUp(settings, self._registrar)
         self._newcomers = Newcomers(settings, self._registrar, self._output, self._accepting)

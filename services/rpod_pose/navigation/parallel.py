@@ -1,6 +1,6 @@
 """Parallel tracks of the rivals of a first pose, continued frame by frame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,9 +8,10 @@ import numpy as np
 
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import FilterState, predict
+from rpod_pose.navigation.first_pose.beginning import Beginning
+from rpod_pose.navigation.first_pose.searches import expecting
 from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History, apply
-from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_schemas.arrays import FloatArray
@@ -31,18 +32,13 @@ class ParallelTracks:
     """Starts and continues the tracks of rivals.
 
     Args:
-        start: starts a filter at a measured pose, with what stays of the filter before it, if any.
+        beginning: starts filters at measured poses, and the tracks of the target's joints.
         config: configuration of the filter.
         alike: which attitudes no measurement distinguishes.
     """
 
-    def __init__(
-        self,
-        start: Callable[[PoseMeasurement, FilterState | None], FilterState],
-        config: FilterConfig,
-        alike: Equivalence,
-    ) -> None:
-        self._start = start
+    def __init__(self, beginning: Beginning, config: FilterConfig, alike: Equivalence) -> None:
+        self._beginning = beginning
         self._config = config
         self._alike = alike
 
@@ -56,11 +52,13 @@ class ParallelTracks:
         if found.pose is None:
             return ()
         measured = as_measured(found.registration, event)
+        angles = (found.registration.angles, *(rival.angles for rival in found.belief.rivals))
         rivals = []
-        for each in found.hypotheses:
+        for each, there in zip(found.hypotheses, angles, strict=False):  # no hypotheses if the search failed
             pose = chained(event.T_chaser_sensor, each.pose)
-            filtered = self._start(replace(measured, T_chaser_target=pose), past)
-            rivals.append(Rival(History(filtered), each.log_likelihood))
+            filtered = self._beginning.filter_at(replace(measured, T_chaser_target=pose), past)
+            joints = self._beginning.joints_after({}, there or found.registration.angles, event.stamp_ns)
+            rivals.append(Rival(History(filtered), each.log_likelihood, joints))
         return distinct(rivals, self._alike)
 
     def continued(self, rivals: Rivals, event: Measurement, methods: Methods) -> Tracked | None:
@@ -72,14 +70,16 @@ class ParallelTracks:
                 continue
             frame = as_of_stamp(event, predicted, methods.deskew)
             prediction = chained(event.T_chaser_sensor.inv(), predicted.T_chaser_target)
-            registration = methods.tracker.track(frame, prediction)
+            expected = {name: track.at(event.stamp_ns).angle for name, track in rival.joints.items()}
+            registration = expecting(methods, expected).tracker.track(frame, prediction)
             if registration.T_sensor_target is None or not registration.continues_track:
                 continue
             since_s = rival.history.since_s(event.stamp_ns, event.sensor)
             measured = replace(as_measured(registration, event), since_s=since_s)
             applied = apply(rival.history, measured, self._config, predicted)
             if applied.accepted:
-                left.append(replace(rival, history=applied.history))
+                joints = self._beginning.joints_after(rival.joints, registration.angles, event.stamp_ns)
+                left.append(replace(rival, history=applied.history, joints=joints))
                 seen.append((frame, registration))
         if not left:
             return None

@@ -5,12 +5,13 @@ from math import radians
 
 import numpy as np
 
+from rpod_pose.belief import Angle
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.filter import ATTITUDE, FilterState
 from rpod_pose.navigation.first_pose.searches import Near, Search, expecting
 from rpod_pose.navigation.frames import as_of_stamp
 from rpod_pose.navigation.joints import JointTrack
-from rpod_pose.ports import Angle, Methods, Registration
+from rpod_pose.ports import Methods, Registration
 from rpod_schemas.poses import chained
 
 

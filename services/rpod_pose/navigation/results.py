@@ -6,13 +6,13 @@ from math import degrees
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import SYMMETRY
+from rpod_pose.belief import SYMMETRY, Angle
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import evidence_of
 from rpod_pose.navigation.filter import predict, to_odometry
 from rpod_pose.navigation.joints import JointTrack
 from rpod_pose.navigation.state import Cause, NavigatorState, Output, RefusedPixels
-from rpod_pose.ports import Acquisition, Angle, Registration
+from rpod_pose.ports import Acquisition, Registration
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER, TARGET_ESTIMATE

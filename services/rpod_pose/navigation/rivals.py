@@ -8,19 +8,22 @@ sets it), and all frames within ``CORRELATED_S`` count at most as one.
 
 Only differences between rivals matter. A rival is excluded when a frame that another rival explains
 contradicts it, or when the filter's gate rejects its motion. Attitudes that no measurement distinguishes are
-one rival.
+one rival. Each rival has tracks of its own for the angles of the target's joints: the attitude that is turned
+by a half turn explains a frame at other angles than the right one.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import cos, log, radians
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import degrees, log, radians
 from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import softmax
 
+from rpod_pose.joints.same_state import State, are_same
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.history import History
+from rpod_pose.navigation.joints import JointTrack
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import Hypothesis
@@ -30,8 +33,8 @@ CORRELATED_S = 1.0
 """Time within which two frames show the same errors of model and sensor, s. Hand: a longer time decides
 later; a shorter one counts the same error of a model often."""
 SAME_DEG = 5.0
-"""Angle between two attitudes, deg, below which they are the same rival. Hand: above the errors of tracked
-poses, below the turns of near-symmetries."""
+"""Angle between two attitudes, and between angles of a joint that are well known, deg, below which they are
+the same rival. Hand: above the errors of tracked poses, below the turns of near-symmetries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +44,20 @@ class Rival:
     history: History
     log_evidence: float
     """Logarithm of the evidence, up to a constant that all rivals share."""
+    joints: Mapping[str, JointTrack] = field(default_factory=dict)
+    """Angles of the target's joints at this pose, by name."""
 
     @property
     def state(self) -> FilterState:
         """State of its filter at the newest frame."""
         return self.history.state
+
+    @property
+    def at_angles(self) -> str:
+        """The angles of the joints, for the operator; empty for a target without joints."""
+        return "".join(
+            f", {name} at {degrees(track.angle.angle_rad):.0f} deg" for name, track in self.joints.items()
+        )
 
 
 class Rivals(NamedTuple):
@@ -85,7 +97,8 @@ class Rivals(NamedTuple):
 
     def hypotheses(self, alike: Equivalence) -> tuple[Hypothesis, ...]:
         """Return the rivals' T_chaser_target with their weights, best first."""
-        angles_deg = ("", *(f"turned by {angle:.0f} deg" for angle in self.turned_deg(alike)))
+        turned = (f"turned by {angle:.0f} deg" for angle in self.turned_deg(alike))
+        others = (f"{turn}{track.at_angles}" for turn, track in zip(turned, self.tracks[1:], strict=True))
         best = self.tracks[0].log_evidence
         return tuple(
             Hypothesis(
@@ -94,7 +107,7 @@ class Rivals(NamedTuple):
                 name=name,
                 log_likelihood=track.log_evidence - best,
             )
-            for track, weight, name in zip(self.tracks, self.weights, angles_deg, strict=True)
+            for track, weight, name in zip(self.tracks, self.weights, ("", *others), strict=True)
         )
 
     def turned_deg(self, alike: Equivalence) -> list[float]:
@@ -151,7 +164,7 @@ Numerics: the least weight that a search lists."""
 
 
 def distinct(tracks: Sequence[Rival], alike: Equivalence) -> tuple[Rival, ...]:
-    """Return rivals, best first, without those that have the attitude of a better one."""
+    """Return rivals, best first, without those that have the attitude and angles of a better one."""
     kept: list[Rival] = []
     for track in sorted(tracks, key=lambda each: -each.log_evidence):
         if not any(_are_same(track, better, alike) for better in kept):
@@ -160,8 +173,12 @@ def distinct(tracks: Sequence[Rival], alike: Equivalence) -> tuple[Rival, ...]:
 
 
 def _are_same(one: Rival, other: Rival, alike: Equivalence) -> bool:
-    cosine = alike.cosines(_attitude(one)[None], _attitude(other)[None])[0, 0]
-    return bool(cosine > cos(radians(SAME_DEG)))
+    axes = {name: track.joint.axis for name, track in one.joints.items()}
+    return are_same(_shown(one), _shown(other), alike=alike, axes=axes, within_rad=radians(SAME_DEG))
+
+
+def _shown(track: Rival) -> State:
+    return State(_attitude(track), {name: joint.angle for name, joint in track.joints.items()})
 
 
 def _attitude(track: Rival) -> FloatArray:

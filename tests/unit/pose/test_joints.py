@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rpod_pose.belief import Angle, Rival
 from rpod_pose.joints.angle_fit import JointSolver, unknown
 from rpod_pose.lidar.methods import LIDAR_METHODS, ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
+from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
+from rpod_pose.navigation.dynamics.options import CONSTANT
+from rpod_pose.navigation.first_pose.beginning import Beginning
 from rpod_pose.navigation.joints import tracked_joints
-from rpod_pose.ports import Angle
-from rpod_schemas.config.estimator import LidarInput
+from rpod_pose.navigation.parallel import ParallelTracks
+from rpod_pose.ports import Acquisition
+from rpod_schemas.config.estimator import EstimatorSettings, LidarInput
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose, pose_error
-from rpod_target import load_target, posed
+from rpod_schemas.types import BeliefLevel
+from rpod_target import NO_SYMMETRY, load_target, posed
 
 ANGLES_RAD = np.deg2rad(np.arange(-15.0, 15.1, 0.5))
 PATTERN = ScanPattern(ANGLES_RAD, ANGLES_RAD, sigma_range_m=0.01)
@@ -78,6 +84,32 @@ def test_an_acquisition_finds_the_pose_with_the_angle(target, methods):
     assert np.rad2deg(np.linalg.norm(pose_error(POSE, found.pose)[0])) < 0.5
     assert np.rad2deg(abs(angle.angle_rad - TRUE_RAD)) < 2.0
     assert np.rad2deg(angle.sigma_rad) < 2.0
+
+
+def test_poses_are_compared_each_at_its_own_angle_and_rivals_are_tracked_at_theirs(target, methods):
+    scan, near = scan_of(target, POSE, TRUE_RAD), np.deg2rad(1.0)
+    right, wrong = (
+        methods.expecting({"drive": Angle(angle_rad, near)}).tracker.track(scan, POSE)
+        for angle_rad in (TRUE_RAD, -TRUE_RAD)
+    )
+    likelier, less = methods.likelihoods(scan, [right, replace(right, angles=wrong.angles)])
+    assert likelier > less + 5.0
+
+    rival = Rival("turned by 180 deg", POSE, -1.0, {"drive": Angle(-TRUE_RAD, near)})
+    doubtful = replace(right.belief, level=BeliefLevel.DOUBTFUL, rivals=(rival,))
+    settings = EstimatorSettings(sensors=(LidarInput(),))
+    beginning = Beginning(
+        settings,
+        centre_of_mass_m=np.zeros(3),
+        alike=NO_SYMMETRY,
+        joints=target.joints,
+        dynamics=CONSTANT,
+    )
+    parallel = ParallelTracks(beginning, settings.filter, NO_SYMMETRY)
+    event = Measurement("lidar", scan, make_pose())
+    tracks = parallel.started(event, Acquisition(replace(right, belief=doubtful)))
+    angles_deg = np.rad2deg([track.joints["drive"].angle.angle_rad for track in tracks])
+    np.testing.assert_allclose(angles_deg, [-37.0, 37.0], atol=2.0)  # one attitude, two rivals
 
 
 def test_a_tracker_finds_the_angle_beside_the_one_that_is_expected(target, methods):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import Angle
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.dynamics.options import Dynamics
 from rpod_pose.navigation.filter import FilterState
@@ -17,7 +18,7 @@ from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
 from rpod_pose.navigation.rivals import Rivals
 from rpod_pose.navigation.sensors.streams import begun
 from rpod_pose.navigation.state import GivenPose, NavigatorState
-from rpod_pose.ports import Angle, Registration
+from rpod_pose.ports import Registration
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.types import Mode
@@ -130,6 +131,7 @@ class Beginning:
             separation=None,
             challenger=None,
             confirmations=rivals.frames,
+            joints=rivals.tracks[0].joints,
             searches={},
         )
 

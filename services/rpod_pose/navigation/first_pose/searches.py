@@ -16,9 +16,10 @@ from typing import NamedTuple, Protocol
 
 from scipy.spatial.transform import RigidTransform
 
+from rpod_pose.belief import Angle
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.first_pose.following import Follow, Placed, followed
-from rpod_pose.ports import Acquisition, Angle, Methods, Registration
+from rpod_pose.ports import Acquisition, Methods, Registration
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.types import SensorFrame, Source
 
