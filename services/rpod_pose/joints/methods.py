@@ -36,7 +36,7 @@ RESOLUTION_RAD = radians(0.25)
 ROUNDS = 6
 """Largest number of alternate fits of angle and pose. Numerics: a budget; because of the extrapolation, few
 suffice."""
-REGISTERED = 3
+REGISTERED = 8
 """Number of best poses, compared by their points alone, that are compared in the whole frame. Numerics: a
 budget of registrations."""
 COUNTER_TURNS_RAD = np.deg2rad([-12.0, -8.0, -4.0, 4.0, 8.0, 12.0])
