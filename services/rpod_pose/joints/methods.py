@@ -18,9 +18,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rpod_pose.belief import Angle, Belief, Rival
 from rpod_pose.joints.angle_fit import SPREAD, Aligned, JointSolver, unknown
-from rpod_pose.joints.same_state import State, are_same
 from rpod_pose.ports import Acquirer, Acquisition, Methods, Registration, Tracker
 from rpod_pose.search.hypotheses import NEGLIGIBLE
+from rpod_pose.search.same_state import State, are_same
 from rpod_pose.search.turns import Turns
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix

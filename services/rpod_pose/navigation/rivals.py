@@ -20,10 +20,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.special import softmax
 
-from rpod_pose.joints.same_state import State, are_same
 from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.joints import JointTrack
+from rpod_pose.search.same_state import State, are_same
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.poses import rotation_matrix
 from rpod_schemas.types import Hypothesis

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.belief import Angle
-from rpod_pose.joints.same_state import State, are_same
+from rpod_pose.search.same_state import State, are_same
 from rpod_target import NO_SYMMETRY, Equivalence, Symmetry
 
 AXES = {"drive": np.array([0.0, 1.0, 0.0])}
