@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from rpod_estimator.frame_reader import FrameReader
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.methods import methods_of
 from rpod_runtime import Received
 from rpod_runtime.frames import PartRejectedError
@@ -195,7 +196,7 @@ def test_a_cloud_of_open_tools_shows_the_moving_mockup_at_the_time_of_each_point
     beside_m = beside_the_surface_m((seen_m - SEEN.origin_m(since_s)) @ SEEN.rotation())
     assert np.abs(beside_m).max() < 0.004
     assert np.sqrt(np.mean(beside_m**2)) < 0.001  # 5 ms are 2 to 3 mm
-    found = methods_of(LidarInput(), load_target("mockup"), info).acquirer.acquire(scan)
+    found = methods_of(LidarInput(), load_target("mockup"), ScanPattern.of(info)).acquirer.acquire(scan)
     assert found.begins_track, found.belief.refusal
     pose = measurement.T_chaser_sensor * found.pose
     turned = Rotation.from_matrix(SEEN.rotation()).inv() * pose.rotation

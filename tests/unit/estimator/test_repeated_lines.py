@@ -68,6 +68,11 @@ def test_a_dead_row_is_told_and_its_frames_are_used():
         assert text.startswith("1 of its rows (2% of its values)") == (number > 0)
 
 
+def test_a_scene_at_rest_without_noise_is_no_part_of_an_earlier_frame():
+    lines = RepeatedLines()
+    assert [lines.found(image(seen(0, sigma_m=0.0))) for _ in range(3)] == [("", False)] * 3
+
+
 def test_two_buffers_that_are_sent_in_turn_are_not_used():
     lines = RepeatedLines()
     first, second = image(seen(0)), image(seen(1))

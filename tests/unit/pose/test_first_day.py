@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rpod_driver.adapters.ifm.driver import open_driver
 from rpod_geometry.rays import RayGrid, cast
+from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Measurement
 from rpod_pose.methods import methods_of
 from rpod_pose.navigation.navigator import Navigator
@@ -47,7 +48,7 @@ def test_a_lidar_without_info_is_found_whichever_way_its_rows_run(rows_are_azimu
             points_m = points_m.transpose(1, 0, 2)
         cloud = {name: np.ascontiguousarray(points_m[..., axis]) for axis, name in enumerate("xyz")}
         scan = reader.read(Assembled(1, {"points": received(write_points(1, "lidar", cloud))}))
-    found = methods_of(LidarInput(), target, reader.newest_info).acquirer.acquire(scan)
+    found = methods_of(LidarInput(), target, ScanPattern.of(reader.newest_info)).acquirer.acquire(scan)
     assert found.begins_track, found.belief.refusal
     attitude_rad, position_m = pose_error(truth, found.pose)
     assert np.degrees(np.linalg.norm(attitude_rad)) < 0.5
@@ -74,7 +75,7 @@ def test_a_turning_head_with_staggered_rows_is_found_and_tracked():
         scan = reader.read(Assembled(1, {"points": received(write_points(1, "lidar", cloud))}))
         pattern = pattern or reader.newest_info
         assert reader.newest_info is pattern
-        methods = methods or methods_of(LidarInput(sigma_range_m=sigma_m), target, pattern)
+        methods = methods or methods_of(LidarInput(sigma_range_m=sigma_m), target, ScanPattern.of(pattern))
         begin = make_pose(
             rotation=Rotation.from_rotvec([0.02, -0.02, 0.02]), translation_m=(0.05, 0.05, 0.05)
         )

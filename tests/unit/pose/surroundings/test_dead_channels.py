@@ -44,7 +44,7 @@ def test_scans_with_dead_rows_are_used_where_these_are_declared(tmp_path):
 
 def test_a_first_pose_is_found_beside_declared_rows(tmp_path):
     T = random_pose(3)
-    methods = methods_of(LidarInput(), load(BULKY), LIDAR.info())
+    methods = methods_of(LidarInput(), load(BULKY), ScanPattern.of(LIDAR.info()))
     found = methods.acquirer.acquire(
         known(tmp_path, dead_rows=EACH_FOURTH).without(scan_with_dead_rows(T, 3))
     )
