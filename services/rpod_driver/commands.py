@@ -68,8 +68,8 @@ class Commands:
         except Exception as error:  # noqa: BLE001 - drivers raise what their device's library raises
             device.settings()  # raises if the device itself has failed; then the changes are kept
             log.error(
-                "%s: the settings that were changed while it ran (%s) cannot be written again: %s; those of "
-                "the configuration count now, change them again",
+                "%s: the settings that were changed while it ran (%s) cannot be written again: %s; the "
+                "device has those of the configuration now: change them again",
                 self._name,
                 ", ".join(self._changed),
                 str(error) or type(error).__name__,

@@ -158,6 +158,6 @@ class BusProcess:
         """Return the sentence about a publisher of other software that has gone."""
         last = max(self.arrived.get(topic, {}).values(), default=0)
         return (
-            f"{topic}: a publisher of session {self.session} ended at {utc(departure.stamp_ns)} and does not "
-            f"say its last number; the last that arrived is {last}"
+            f"{topic}: a publisher of session {self.session} ended at {utc(departure.stamp_ns)} without "
+            f"stating its last number; the last that arrived is {last}"
         )

@@ -203,7 +203,8 @@ class PublisherEnds:
             reasons = [f"the bus was lost: {outage}" for outage in outages] + self._reasons
             if self._forgotten:
                 reasons.append(
-                    f"the ends of {self._forgotten} of more than {_MOST_PROCESSES} sessions are not known"
+                    f"there were more than {_MOST_PROCESSES} sessions; it is not known whether all messages "
+                    f"of {self._forgotten} of them arrived"
                 )
             endings = Endings(tuple(reasons), tuple(self._unconfirmed), outages)
             self._reasons, self._unconfirmed, self._forgotten = [], [], 0

@@ -150,7 +150,7 @@ def _present(truth: TruthPublisher, first: int) -> int:
     now_s = (time.time_ns() - truth.stamp_ns(0)) / NANOSECONDS
     if (truth.stamp_ns(first) - truth.stamp_ns(0)) / NANOSECONDS > now_s - _OVERDUE_S:
         return first
-    log.warning("the epoch was %.1f s ago: the motion goes on where it would be by now", now_s)
+    log.warning("the epoch was %.1f s ago: the motion goes on with the state of the present time", now_s)
     return truth.tick(now_s)
 
 

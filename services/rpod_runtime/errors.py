@@ -67,7 +67,8 @@ class NotThisServiceError(BusError):
     def __init__(self, instance: str, name: str, folder: Path) -> None:
         super().__init__(
             f"instance is {instance!r}, but bus.credentials ({folder}) are those of {name!r}; the router "
-            "knows a service by its certificate: name it so, or issue another with 'rpod pki issue'"
+            f"identifies a service by its certificate: set instance to {name!r}, or issue a certificate for "
+            f"{instance!r} with 'rpod pki issue'"
         )
 
 

@@ -312,7 +312,7 @@ FAULTS: tuple[Fault, ...] = (
     ),
     Fault(
         "second_mount",
-        "two publishers give the sensor's frame another place",
+        "two publishers put the sensor's frame at different places",
         "mount",
         "stop one of the publishers of tf_static",
         in_lockstep=True,

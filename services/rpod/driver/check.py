@@ -85,7 +85,7 @@ def check_command(options: CheckOptions, *, duration_s: float, as_json: bool) ->
     results = judge(seen)
     if options.search and target:
         if not as_json:
-            print("searching the target in some frames; this takes up to minutes", file=sys.stderr)
+            print("searching for the target in some frames; this may take minutes", file=sys.stderr)
         results.append(_searched(seen, target))
     wrong = [each for each in results if each.level is Level.FAIL]
     if as_json:

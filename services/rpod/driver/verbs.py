@@ -23,7 +23,7 @@ SearchOption = Annotated[
     bool,
     typer.Option(
         "--search",
-        help="Search the target in some frames, also mirrored, in other units and with other lenses. "
+        help="Search for the target in some frames, also mirrored, in other units and with other lenses. "
         "It needs --target, and may take some minutes.",
     ),
 ]

@@ -85,7 +85,7 @@ def ends_early(logged_s: float, duration_s: float) -> str:
         return ""
     return (
         f"the log ends after {logged_s:.1f} of {duration_s:g} s, and so do the figures; a warning of the "
-        "logger above says why (a full disk, for example): mend it and run again"
+        "logger above says why (a full disk, for example): correct this and run again"
     )
 
 

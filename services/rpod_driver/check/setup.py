@@ -162,7 +162,8 @@ def mount(seen: Observations) -> CheckResult:
     extrinsics, places = seen.extrinsics(), []
     for frame_id in sorted(seen.frame_ids):
         if rivals := extrinsics.rivals(frame_id):
-            return fail(line, f"{rivals[0]} and {rivals[1]} give {frame_id!r} another place", "second_mount")
+            text = f"{rivals[0]} and {rivals[1]} put {frame_id!r} at different places"
+            return fail(line, text, "second_mount")
         try:
             pose = extrinsics.mount(seen.name, frame_id)
         except ExtrinsicsError as error:

@@ -118,8 +118,8 @@ def _delayed(
     on_link = all(heard.sent_ns for heard in seen.leads) and 2.0 * np.median(waits_s) > middle_s * NANOSECONDS
     where = "on the link" if on_link else "before they are sent: sensor, driver or machine are too slow"
     text = (
-        f"frames arrive {middle_s:.3f} s after their stamp mostly, and {least_s:.3f} s at least, by which a "
-        f"clock may be behind; they wait {where}"
+        f"frames mostly arrive {middle_s:.3f} s after their stamp, and at least {least_s:.3f} s after it, of "
+        f"which a clock that is behind may be a part; they wait {where}"
     )
     return fail(line, text, "slow_link" if on_link else "slow_rate", **figures)
 
