@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rpod_pose.belief import Angle, Belief, Rival
 from rpod_pose.joints.angle_fit import SPREAD, Aligned, JointSolver, unknown
 from rpod_pose.ports import Acquirer, Acquisition, Methods, Registration, Tracker
-from rpod_pose.search.hypotheses import NEGLIGIBLE
+from rpod_pose.search.hypotheses import NEGLIGIBLE, with_one_noise
 from rpod_pose.search.same_state import State, are_same
 from rpod_pose.search.turns import Turns
 from rpod_schemas.arrays import FloatArray
@@ -110,7 +110,8 @@ class _Shared:
 
     def log_likelihoods(self, frame: Any, found: Sequence[Registration], /) -> FloatArray:
         """Return the log likelihoods of a frame at poses, each with the target at its own angles, (N,)."""
-        each_at = [(self._methods_at(_rounded(each.angles)).likelihoods, each) for each in found]
+        alike = with_one_noise(found)
+        each_at = [(self._methods_at(_rounded(each.angles)).likelihoods, each) for each in alike]
         return np.array([float(at(frame, [each])[0]) for at, each in each_at if at is not None])
 
     def searches(self, expected: Angles) -> list[Acquirer[Any]]:

@@ -14,6 +14,7 @@ from rpod_pose.navigation.frames import as_measured, as_of_stamp
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.rivals import Rival, Rivals, distinct
 from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_pose.search.hypotheses import with_one_noise
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import chained
@@ -131,4 +132,5 @@ def _likelihoods(
         return np.zeros(len(found))
     if methods.deskew is None:  # all frames are the same
         return likelihoods(frames[0], found)
-    return np.array([likelihoods(frame, [each])[0] for frame, each in zip(frames, found, strict=True)])
+    alike = with_one_noise(found)
+    return np.array([likelihoods(frame, [each])[0] for frame, each in zip(frames, alike, strict=True)])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import softmax
 
-from rpod_pose.belief import SYMMETRY, Belief, Rival
+from rpod_pose.belief import NOISE_M, SYMMETRY, Belief, Rival
 from rpod_pose.ports import Registration
 from rpod_pose.search.turns import Placed
 from rpod_schemas.arrays import FloatArray
@@ -89,6 +89,18 @@ def belief_with_rivals(found: tuple[Rival, ...], belief: Belief, *, least: float
         f"({least:g} needed), the next is {first.name}"
     )
     return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=found)
+
+
+def with_one_noise(found: Sequence[Registration]) -> list[Registration]:
+    """Return registrations of a frame with the largest noise that one of them shows, to be compared.
+
+    The log likelihoods of N returns under two kinds of noise differ by a multiple of N at any pose.
+    """
+    noise_m = max((each.belief.evidence.get(NOISE_M, 0.0) for each in found), default=0.0)
+    return [
+        replace(each, belief=replace(each.belief, evidence={**each.belief.evidence, NOISE_M: noise_m}))
+        for each in found
+    ]
 
 
 def standing(found: Registration) -> tuple[bool, bool]:

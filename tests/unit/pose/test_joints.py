@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpod_pose.belief import Angle, Rival
+from rpod_pose.belief import NOISE_M, Angle, Rival
 from rpod_pose.joints.angle_fit import JointSolver, unknown
 from rpod_pose.lidar.methods import LIDAR_METHODS, ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
@@ -94,6 +94,8 @@ def test_poses_are_compared_each_at_its_own_angle_and_rivals_are_tracked_at_thei
     )
     likelier, less = methods.likelihoods(scan, [right, replace(right, angles=wrong.angles)])
     assert likelier > less + 5.0
+    noisy = replace(right, belief=replace(right.belief, evidence={NOISE_M: 4.0 * PATTERN.sigma_range_m}))
+    assert np.ptp(methods.likelihoods(scan, [right, noisy])) == 0.0  # under the same noise
 
     rival = Rival("turned by 180 deg", POSE, -1.0, {"drive": Angle(-TRUE_RAD, near)})
     doubtful = replace(right.belief, level=BeliefLevel.DOUBTFUL, rivals=(rival,))

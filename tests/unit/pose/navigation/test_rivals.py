@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rpod_pose.belief import Belief, Rival, contradicted
+from rpod_pose.belief import NOISE_M, Belief, Rival, contradicted
 from rpod_pose.measurement import Measurement
 from rpod_pose.navigation.navigator import Navigator
-from rpod_pose.ports import Acquisition, Methods, Registration
+from rpod_pose.ports import Acquisition, Deskew, Methods, Registration
 from rpod_schemas.config.estimator import EstimatorSettings, PmdInput
 from rpod_schemas.poses import make_pose
 from rpod_schemas.types import BeliefLevel, Mode, Source
@@ -47,12 +47,13 @@ class Scene:
     searches: int = 0
     state: object = None
     alike: Equivalence = NO_SYMMETRY
+    deskew: Deskew | None = None
     navigator: Navigator = field(init=False)
 
     def __post_init__(self) -> None:
         self.navigator = Navigator(
             EstimatorSettings(sensors=(PmdInput(),)),
-            {"pmd": Methods(self, self, likelihoods=self.likelihoods)},
+            {"pmd": Methods(self, self, self.deskew, self.likelihoods)},
             centre_of_mass_m=np.zeros(3),
             alike=self.alike,
         )
@@ -162,3 +163,19 @@ def test_frames_of_rivals_count_less_the_nearer_they_are():
     steps = scene.state.rivals.tracks[0].history.steps
     assert len(steps) == 8
     assert [step.measurement.since_s for step in steps[1:]] == pytest.approx([1 / 45] * 7, rel=1e-6)
+
+
+def test_rivals_whose_registrations_show_other_noise_are_compared_under_the_same(monkeypatch):
+    def shown(view, predicted):
+        evidence = {NOISE_M: 0.04} if angle_deg(predicted) < 90.0 else {}
+        return Registration(Source.LIDAR, predicted, Belief(evidence=evidence), covariance=COVARIANCE)
+
+    def likelihoods(_, found):
+        return np.array([5000.0 * each.belief.evidence.get(NOISE_M, 0.0) for each in found])
+
+    monkeypatch.setattr(Scene, "track", lambda _, view, predicted: shown(view, predicted))
+    monkeypatch.setattr(Scene, "likelihoods", staticmethod(likelihoods))
+    scene = Scene(deskew=lambda view, *_, **__: view)
+    scene.see(1.0)
+    output = scene.see(2.0)
+    assert output.status.evidence["rivals_lead_log_likelihood"] == pytest.approx(0.1)
