@@ -44,12 +44,30 @@ class ChaserStep(NamedTuple):
     """Share of the gyro's bias that remains at the end of a step in which a star tracker corrects it."""
     bias_noise: float = 0.0
     """Variance about each axis of the noise that is added to this share, (rad/s)^2."""
-    speed_variance: float = 0.0
-    """Variance of ``speed_m_s`` along each axis, by the noise of accelerometer or thrust, (m/s)^2."""
+    force_noise: FloatArray = np.zeros(3)
+    """Variance of ``way_m`` along each axis, its covariance with ``speed_m_s``, and the variance of that, by
+    the noise of accelerometer or thrust, m2, m2/s and (m/s)^2, shape (3,)."""
     rate_variance: float = 0.0
     """Variance of ``rate_after_rad_s`` about each axis, by the noise of the gyro, (rad/s)^2."""
-    unforced_s: float = 0.0
-    """Part of the time in which no command holds, so that the acceleration is unknown, s."""
+    unforced: FloatArray = np.zeros(3)
+    """``force_noise`` by a white acceleration of density 1 m2/s3 while no command holds, s3, s2 and s."""
+
+
+def pushed(begin_s: FloatArray | float, end_s: FloatArray | float, step_s: float) -> FloatArray:
+    """Return what a white acceleration in parts of a step does to way and speed at the step's end.
+
+    An acceleration at the begin of a long step moves the chaser until its end.
+
+    Args:
+        begin_s: begins of the parts, from that of the step, shape (N,).
+        end_s: ends of the parts, the same.
+        step_s: duration of the step.
+
+    Returns:
+        ``ChaserStep.force_noise`` for a density of 1 m2/s3, summed over the parts, s3, s2 and s, shape (3,).
+    """
+    since_s, until_s = step_s - np.atleast_1d(begin_s), step_s - np.atleast_1d(end_s)
+    return np.array([((since_s**k - until_s**k) / k).sum() for k in (3, 2, 1)])
 
 
 class Chaser(Protocol):

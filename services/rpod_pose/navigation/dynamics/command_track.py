@@ -14,7 +14,7 @@ from math import ceil
 
 import numpy as np
 
-from rpod_pose.navigation.dynamics.chaser import Chaser, ChaserStep
+from rpod_pose.navigation.dynamics.chaser import Chaser, ChaserStep, pushed
 from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.dynamics import CommandTuning
@@ -91,13 +91,17 @@ class CommandTrack:
                 held.append(self._commands[place])
         return _Pieces(np.array(begins), np.array(lengths), held)
 
-    def changes(self, begin_ns: int, end_ns: int) -> float:
-        """Return the sum of the squared changes of the commands in a step, its end included, (m/s2)^2."""
+    def changes(self, begin_ns: int, end_ns: int) -> FloatArray:
+        """Return ``ChaserStep.force_noise`` by a delay of 1 s of the changes in a step, its end included.
+
+        A command that acts later changes the speed by its change times the delay: m2/s2, m2/s3 and m2/s4.
+        """
         first, last = bisect_right(self._stamps, begin_ns), bisect_right(self._stamps, end_ns)
-        found = 0.0
+        found = np.zeros(3)
         for place in range(max(first, 1), last):
             one, other = self._commands[place - 1], self._commands[place]
-            found += float(((other.acceleration_m_s2 - one.acceleration_m_s2) ** 2).sum())
+            square = ((other.acceleration_m_s2 - one.acceleration_m_s2) ** 2).sum()
+            found += square * ((end_ns - self._stamps[place]) * 1e-9) ** np.array([2, 1, 0])
         return found
 
 
@@ -114,9 +118,8 @@ class Commanded:
         """Return the motion between two stamps, ns."""
         step, pieces = self.turning.step(begin_ns, end_ns), self.commands.pieces(begin_ns, end_ns)
         step_s = (end_ns - begin_ns) * 1e-9
-        known_s = float(pieces.length_s.sum())
+        ends_s = pieces.begin_s + pieces.length_s
         speed, way = np.zeros((3, 1 + ERRORS)), np.zeros((3, 1 + ERRORS))
-        thrust_s = 0.0
         thrusts = [each for each in range(len(pieces.commands)) if self._is_thrust(pieces.commands[each])]
         turns = self._turns(begin_ns, end_ns) if thrusts else []
         for each in thrusts:
@@ -126,17 +129,16 @@ class Commanded:
             added = turns[place].T @ self._columns(pieces.commands[each])
             speed += length_s * added
             way += length_s * (step_s - middle_s) * added
-            thrust_s += length_s
-        tuning = self.tuning
-        noise = tuning.noise_m_s_sqrt_s**2 * thrust_s
+        tuning, known = self.tuning, pushed(pieces.begin_s, ends_s, step_s)
+        noise = tuning.noise_m_s_sqrt_s**2 * pushed(pieces.begin_s[thrusts], ends_s[thrusts], step_s)
         noise += tuning.delay_sigma_s**2 * self.commands.changes(begin_ns, end_ns)
         return step._replace(
             speed_m_s=speed[:, 0],
             way_m=way[:, 0],
             speed_by_bias=speed[:, 1:],
             way_by_bias=way[:, 1:],
-            speed_variance=noise,
-            unforced_s=max(step_s - known_s, 0.0),
+            force_noise=noise,
+            unforced=np.maximum(pushed(0.0, step_s, step_s) - known, 0.0),
         )
 
     def turn(self, begin_ns: int, end_ns: int) -> FloatArray:

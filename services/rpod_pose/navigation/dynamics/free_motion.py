@@ -202,8 +202,11 @@ class FreeMotion:
         chosen = [one if one is not None else other for one, other in zip(own, filtered, strict=True)]
         noise = process_noise(step_s, *chosen)
         if self.uses_force:
-            noise = noise + process_noise(step_s, chaser.speed_variance / step_s, 0.0)
-            noise = noise + process_noise(min(chaser.unforced_s, step_s), filtered[0], 0.0)
+            way, mixed, speed = chaser.force_noise + filtered[0] * chaser.unforced
+            noise[POSITION, POSITION] += way * np.eye(3)
+            noise[POSITION, VELOCITY] += mixed * np.eye(3)
+            noise[VELOCITY, POSITION] += mixed * np.eye(3)
+            noise[VELOCITY, VELOCITY] += speed * np.eye(3)
         if chaser.unknown_s > 0.0:
             noise = noise + process_noise(min(chaser.unknown_s, step_s), *filtered)
         return noise

@@ -182,7 +182,8 @@ class ImuTrack:
             R_orbit_chaser=a.R_orbit_chaser,
             bias_kept=kept,
             bias_noise=b.bias.variance * (1.0 - kept),
-            speed_variance=max(b.speed_variance - a.speed_variance, 0.0),
+            force_noise=max(b.speed_variance - a.speed_variance, 0.0)
+            * np.array([step_s**2 / 3.0, step_s / 2.0, 1.0]),
             rate_variance=self._rate_variance(b),
         )
 

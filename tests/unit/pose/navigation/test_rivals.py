@@ -166,14 +166,14 @@ def test_frames_of_rivals_count_less_the_nearer_they_are():
 
 
 def test_rivals_whose_registrations_show_other_noise_are_compared_under_the_same(monkeypatch):
-    def shown(view, predicted):
+    def shown(predicted):
         evidence = {NOISE_M: 0.04} if angle_deg(predicted) < 90.0 else {}
         return Registration(Source.LIDAR, predicted, Belief(evidence=evidence), covariance=COVARIANCE)
 
     def likelihoods(_, found):
         return np.array([5000.0 * each.belief.evidence.get(NOISE_M, 0.0) for each in found])
 
-    monkeypatch.setattr(Scene, "track", lambda _, view, predicted: shown(view, predicted))
+    monkeypatch.setattr(Scene, "track", lambda _, __, predicted: shown(predicted))
     monkeypatch.setattr(Scene, "likelihoods", staticmethod(likelihoods))
     scene = Scene(deskew=lambda view, *_, **__: view)
     scene.see(1.0)

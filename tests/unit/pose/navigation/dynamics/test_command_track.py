@@ -9,12 +9,16 @@ from free_flight.course import AT_THEIR_WORD, Course, fly
 from rpod_motion.thrust import Thrusters
 from rpod_pose.navigation.dynamics.chaser import Held
 from rpod_pose.navigation.dynamics.command_track import Commanded, CommandTrack
+from rpod_pose.navigation.dynamics.free_motion import THRUST_ERRORS, FreeMotion
 from rpod_pose.navigation.dynamics.options import evidence_of
 from rpod_pose.navigation.dynamics.slewing import CHASER_TURNS, COMMAND_DOUBTED, doubts, told
+from rpod_pose.navigation.filter import Block, FilterState, predict
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator.dynamics import CommandTuning, DynamicsConfig
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.motion import CommandErrorConfig
 from rpod_schemas.errors import ConfigurationError
+from rpod_schemas.poses import make_pose
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import Command
 from rpod_target import load_target
@@ -48,19 +52,19 @@ def test_a_command_holds_until_the_next_one():
     step = over(commanded(command(0.0), command(0.5, np.zeros(3))), 0.0, 1.0)
     np.testing.assert_allclose(step.speed_m_s, 0.5 * ALONG, rtol=1e-12)
     np.testing.assert_allclose(step.way_m, (0.125 + 0.25) * ALONG, rtol=1e-12)
-    assert step.unforced_s == 0.0
+    np.testing.assert_allclose(step.unforced, 0.0, atol=1e-12)
 
 
 def test_a_command_holds_for_a_second_at_most():
     step = over(commanded(command(0.0)), -0.5, 3.0)
     np.testing.assert_allclose(step.speed_m_s, ALONG, rtol=1e-12)
-    assert step.unforced_s == pytest.approx(2.5)
+    assert step.unforced[2] == pytest.approx(2.5)
 
 
 def test_without_a_command_the_acceleration_is_unknown():
     step = over(commanded(), 0.0, 2.0)
     assert not step.speed_m_s.any()
-    assert step.unforced_s == pytest.approx(2.0)
+    assert step.unforced[2] == pytest.approx(2.0)
 
 
 def test_two_steps_are_one_step():
@@ -73,7 +77,29 @@ def test_two_steps_are_one_step():
         np.testing.assert_allclose(sum_, getattr(whole, field), atol=2e-3 * np.abs(sum_).max())
     way = one.way_m + 1.17 * one.speed_m_s + one.turn.T @ other.way_m
     np.testing.assert_allclose(way, whole.way_m, atol=2e-3 * np.abs(way).max())
-    assert one.speed_variance + other.speed_variance == pytest.approx(whole.speed_variance)
+    assert one.force_noise[2] + other.force_noise[2] == pytest.approx(whole.force_noise[2])
+
+
+@pytest.mark.parametrize(("silent_s", "thrusts_s"), [(3.0, 0.0), (0.0, 2.0)])
+def test_the_covariance_after_a_gap_is_that_of_many_short_steps(silent_s, thrusts_s):
+    """No command or a thrust at the begin of a gap moves the target until its end."""
+    times_s = np.arange(silent_s, 20.0, 0.5)
+    chaser = commanded(*(command(each, ALONG if each < thrusts_s else np.zeros(3)) for each in times_s))
+    one = many = FilterState(
+        stamp_ns=BEGIN_NS,
+        T_chaser_target=make_pose(translation_m=[0.0, 0.0, 5.0]),
+        velocity_m_s=np.zeros(3),
+        rate_rad_s=np.zeros(3),
+        covariance=1e-16 * np.eye(16),
+        blocks=(Block(THRUST_ERRORS, np.zeros(4), np.zeros(4)),),
+        model=FreeMotion(
+            chaser, acceleration_density_m2_s3=1e-14, angular_acceleration_density_rad2_s3=1e-16
+        ),
+    )
+    for number in range(1, 201):
+        many = predict(many, BEGIN_NS + number * SECOND_NS // 10, FilterConfig())
+    one = predict(one, many.stamp_ns, FilterConfig())
+    np.testing.assert_allclose(one.covariance[:12, :12], many.covariance[:12, :12], rtol=1e-6, atol=1e-12)
 
 
 def test_a_turning_chaser_thrusts_along_its_own_axes():

@@ -316,4 +316,4 @@ def test_the_noise_that_readings_state_counts_between_them_too(better):
     stamps_ns = 10**18 + 10**9 + np.arange(31) * 10**9 // 15
     steps = [track.step(int(a), int(b)) for a, b in pairwise(stamps_ns)]
     assert sum(step.turn_variance for step in steps) == pytest.approx(2.0 * walk**2, rel=1e-6)
-    assert sum(step.speed_variance for step in steps) == pytest.approx(2.0 * force_walk**2, rel=1e-6)
+    assert sum(step.force_noise[2] for step in steps) == pytest.approx(2.0 * force_walk**2, rel=1e-6)
