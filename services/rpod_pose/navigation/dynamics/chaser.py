@@ -28,8 +28,8 @@ class ChaserStep(NamedTuple):
     """Rate at the end, chaser axes at the end, shape (3,)."""
     turn_variance: float
     """Variance of the turn about each axis caused by the noise of the gyro, rad2."""
-    unknown_s: float
-    """Part of the time in which the chaser's rotation is unknown, s."""
+    unknown: FloatArray
+    """``pushed`` of the parts in which the chaser's rotation and acceleration are unknown, shape (3,)."""
     speed_m_s: FloatArray
     """First integral of the measured or commanded specific force: a change of velocity, shape (3,)."""
     way_m: FloatArray
@@ -50,7 +50,7 @@ class ChaserStep(NamedTuple):
     rate_variance: float = 0.0
     """Variance of ``rate_after_rad_s`` about each axis, by the noise of the gyro, (rad/s)^2."""
     unforced: FloatArray = np.zeros(3)
-    """``force_noise`` by a white acceleration of density 1 m2/s3 while no command holds, s3, s2 and s."""
+    """``pushed`` of the parts in which no command holds, so that the acceleration is unknown, shape (3,)."""
 
 
 def pushed(begin_s: FloatArray | float, end_s: FloatArray | float, step_s: float) -> FloatArray:
@@ -101,7 +101,7 @@ class Held:
         turn = self.turn(begin_ns, end_ns)
         nothing, none = np.zeros((3, 3)), np.zeros(3)
         rate = self._rate_rad_s
-        return ChaserStep(turn, nothing, rate, rate, 0.0, 0.0, none, none, nothing, nothing, self._attitude)
+        return ChaserStep(turn, nothing, rate, rate, 0.0, none, none, none, nothing, nothing, self._attitude)
 
     def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
         """Return the rotation matrix from chaser axes at one stamp to those at another, shape (3, 3)."""

@@ -201,15 +201,15 @@ class FreeMotion:
         )
         chosen = [one if one is not None else other for one, other in zip(own, filtered, strict=True)]
         noise = process_noise(step_s, *chosen)
+        by_force = filtered[0] * chaser.unknown
         if self.uses_force:
-            way, mixed, speed = chaser.force_noise + filtered[0] * chaser.unforced
-            noise[POSITION, POSITION] += way * np.eye(3)
-            noise[POSITION, VELOCITY] += mixed * np.eye(3)
-            noise[VELOCITY, POSITION] += mixed * np.eye(3)
-            noise[VELOCITY, VELOCITY] += speed * np.eye(3)
-        if chaser.unknown_s > 0.0:
-            noise = noise + process_noise(min(chaser.unknown_s, step_s), *filtered)
-        return noise
+            by_force = by_force + chaser.force_noise + filtered[0] * chaser.unforced
+        way, mixed, speed = by_force
+        noise[POSITION, POSITION] += way * np.eye(3)
+        noise[POSITION, VELOCITY] += mixed * np.eye(3)
+        noise[VELOCITY, POSITION] += mixed * np.eye(3)
+        noise[VELOCITY, VELOCITY] += speed * np.eye(3)
+        return noise + process_noise(chaser.unknown[2], 0.0, filtered[1])
 
 
 def _faded(state: FilterState, step_s: float, chaser: ChaserStep, turned_rad: float) -> tuple[Block, ...]:

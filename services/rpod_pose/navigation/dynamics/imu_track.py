@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rpod_pose.navigation.dynamics.chaser import ChaserStep
+from rpod_pose.navigation.dynamics.chaser import ChaserStep, pushed
 from rpod_pose.navigation.dynamics.gyro_bias import GyroBias
 from rpod_pose.navigation.filter.rotations import exponential
 from rpod_schemas.arrays import FloatArray
@@ -51,7 +51,8 @@ class _Sum:
     """Rise of the variance of the turn in a second, which goes on until the next reading."""
     force_density: float
     """The same of the speed."""
-    unknown_s: float
+    unknown: FloatArray
+    """``pushed`` at this stamp of the parts in which nothing is measured, shape (3,)."""
     angle_rad: FloatArray
     """Integral of the rate without the known bias, component by component, for its mean."""
     R_orbit_chaser: FloatArray | None
@@ -118,7 +119,7 @@ class ImuTrack:
             nothing, none = np.zeros((3, 3)), np.zeros(3)
             found = _Sum(
                 reading.stamp_ns, reading.rate_rad_s, force, np.eye(3), nothing, nothing, none, none, 0.0,
-                0.0, self._noise, self._force_noise, 0.0, none, attitude, self._unknown,
+                0.0, self._noise, self._force_noise, none, none, attitude, self._unknown,
             )  # fmt: skip
         else:
             step_s = (reading.stamp_ns - last.stamp_ns) * 1e-9
@@ -160,8 +161,9 @@ class ImuTrack:
             nothing, none = np.zeros((3, 3)), np.zeros(3)
             step_s = (end_ns - begin_ns) * 1e-9
             return ChaserStep(
-                np.eye(3), nothing, none, none, 0.0, step_s, none, none, nothing, nothing, self._attitude
-            )
+                np.eye(3), nothing, none, none, 0.0, pushed(0.0, step_s, step_s), none, none,
+                nothing, nothing, self._attitude,
+            )  # fmt: skip
         a, b = self._at(begin_ns), self._at(end_ns)
         step_s = (end_ns - begin_ns) * 1e-9
         back = a.G.T
@@ -174,7 +176,7 @@ class ImuTrack:
             rate_before_rad_s=self._mean_rate(a),
             rate_after_rad_s=self._mean_rate(b),
             turn_variance=max(b.variance - a.variance, 0.0),
-            unknown_s=b.unknown_s - a.unknown_s,
+            unknown=np.maximum(b.unknown - _later(a.unknown, step_s), 0.0),
             speed_m_s=back @ (b.speed_m_s - a.speed_m_s),
             way_m=back @ (b.way_m - a.way_m - step_s * a.speed_m_s),
             speed_by_bias=-back @ (b.S - a.S),
@@ -254,8 +256,15 @@ def _extended(
         speed_variance=last.speed_variance + abs(step_s) * force_density,
         density=density,
         force_density=force_density,
-        unknown_s=last.unknown_s + (step_s if abs(step_s) > _GAP_S else 0.0),
+        unknown=_later(last.unknown, step_s)
+        + (pushed(0.0, step_s, step_s) if abs(step_s) > _GAP_S else np.zeros(3)),
         angle_rad=last.angle_rad + step_s * mean_rad_s,
         R_orbit_chaser=attitude,
         bias=last.bias,
     )
+
+
+def _later(found: FloatArray, step_s: float) -> FloatArray:
+    """Return ``pushed`` of the same parts at a later time, shape (3,)."""
+    way, mixed, speed = found
+    return np.array([way + 2.0 * step_s * mixed + step_s**2 * speed, mixed + step_s * speed, speed])

@@ -207,6 +207,22 @@ def test_time_without_readings_adds_the_noise_of_a_chaser_that_nobody_measures()
     assert added > 3 * FILTER.angular_acceleration_density_rad2_s3 * 6.0**3 / 3.0
 
 
+@pytest.mark.parametrize("silent_s", [0.5, 8.0])
+def test_time_without_readings_before_others_moves_the_target_until_the_end(silent_s):
+    """The position after ten seconds, of which 1.5 are without readings, early or late."""
+    track = ImuTrack()
+    for number in range(101):
+        if not 10 * silent_s < number < 10 * silent_s + 15:
+            reading = {"rate_rad_s": np.zeros(3), "force_m_s2": np.zeros(3)}
+            track.take(ImuReading(stamp_ns=10**18 + number * 10**8, frame_id=CHASER, **reading))
+    model = FreeMotion(track, None, acceleration_density_m2_s3=1e-16)
+    state = replace(a_state(()), centre_of_mass_m=np.zeros(3), model=model)
+    whole = predict(state, 10**18 + 10**10, FILTER)
+    late, early = 10.0 - silent_s, 10.0 - silent_s - 1.5
+    expected = FILTER.acceleration_density_m2_s3 * (late**3 - early**3) / 3.0
+    assert whole.covariance[0, 0] == pytest.approx(expected, rel=1e-3)
+
+
 def test_readings_that_are_not_newer_are_not_used():
     track = a_track()
     newest_ns = 10**18 + 3_990_000_000
