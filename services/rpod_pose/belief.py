@@ -102,6 +102,12 @@ class Belief:
     begin, but what the measurement determines is as certain as that of any other."""
 
     @property
+    def larger_noise_m(self) -> float:
+        """Noise of its ranges with which a scan was registered, m; 0 if that is the stated or assumed one."""
+        shown_m = self.evidence.get(NOISE_M, 0.0)
+        return shown_m if shown_m > self.evidence.get(STATED_NOISE_M, 0.0) else 0.0
+
+    @property
     def ranked(self) -> bool:
         """Whether the pose was compared with its rivals, which is possible for a contradicted pose too."""
         return self.needed_weight < 1.0

@@ -114,6 +114,14 @@ class _Shared:
         each_at = [(self._methods_at(_rounded(each.angles)).likelihoods, each) for each in alike]
         return np.array([float(at(frame, [each])[0]) for at, each in each_at if at is not None])
 
+    def at_one_noise(self, frame: Any, found: Sequence[Registration]) -> list[Registration]:
+        """Return registrations with comparable log likelihoods, if those that count have other noise."""
+        likely = [each for each in found if each.continues_track]
+        if not self._compares or len({each.belief.larger_noise_m for each in likely}) < 2:
+            return list(found)
+        logs = iter(self.log_likelihoods(frame, likely).tolist())
+        return [replace(each, log_likelihood=next(logs)) if each.continues_track else each for each in found]
+
     def searches(self, expected: Angles) -> list[Acquirer[Any]]:
         """Return the searches at the angles that the first joint may have."""
         first = expected[self._first]
@@ -210,7 +218,8 @@ class _Acquirer:
             self._tracker.registered(measurement, each.T_sensor_target, each.angles)
             for each in self._aligned(measurement, poses)[:REGISTERED]
         ]
-        found = sorted((each for each in found if each.T_sensor_target is not None), key=_order)
+        found = [each for each in found if each.T_sensor_target is not None]
+        found = sorted(self._shared.at_one_noise(measurement, found), key=_order)
         if not found:
             return searched[0]
         best = search(self._shared.acquirer_at(found[0].angles))
@@ -236,6 +245,7 @@ class _Acquirer:
         if best.T_sensor_target is None or not belief.continues_track:
             return belief
         pose = best.T_sensor_target
+        best, *found = self._shared.at_one_noise(measurement, [best, *found])
         same = [self._are_same(pose, best.angles, other.T_sensor_target, other.angles) for other in found]
         compared = found[same.index(True)] if any(same) else best
         rivals = []

@@ -103,7 +103,7 @@ class NoisyScanSearch(_AtNoise[GlobalSearch]):
     def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a scan near registered poses, (N,), with their largest noise."""
         stated_m = self._pattern.assumed_sigma_m
-        noise_m = max([stated_m, *(each.belief.evidence.get(NOISE_M, 0.0) for each in found)])
+        noise_m = max([stated_m, *(each.belief.larger_noise_m for each in found)])
         return self._at(round(2.0 * log2(noise_m / stated_m))).log_likelihoods(measurement, found)
 
     def _searched(self, call: Callable[[GlobalSearch], Acquisition]) -> Acquisition:

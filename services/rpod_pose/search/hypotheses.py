@@ -96,7 +96,7 @@ def with_one_noise(found: Sequence[Registration]) -> list[Registration]:
 
     The log likelihoods of N returns under two kinds of noise differ by a multiple of N at any pose.
     """
-    noise_m = max((each.belief.evidence.get(NOISE_M, 0.0) for each in found), default=0.0)
+    noise_m = max((each.belief.larger_noise_m for each in found), default=0.0)
     return [
         replace(each, belief=replace(each.belief, evidence={**each.belief.evidence, NOISE_M: noise_m}))
         for each in found

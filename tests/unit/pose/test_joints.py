@@ -96,6 +96,8 @@ def test_poses_are_compared_each_at_its_own_angle_and_rivals_are_tracked_at_thei
     assert likelier > less + 5.0
     noisy = replace(right, belief=replace(right.belief, evidence={NOISE_M: 4.0 * PATTERN.sigma_range_m}))
     assert np.ptp(methods.likelihoods(scan, [right, noisy])) == 0.0  # under the same noise
+    alike = methods.acquirer._shared.at_one_noise(scan, [right, replace(noisy, log_likelihood=0.0)])
+    assert np.ptp([each.log_likelihood for each in alike]) == 0.0
 
     rival = Rival("turned by 180 deg", POSE, -1.0, {"drive": Angle(-TRUE_RAD, near)})
     doubtful = replace(right.belief, level=BeliefLevel.DOUBTFUL, rivals=(rival,))
