@@ -85,6 +85,7 @@ class _Shared:
         self._points = rigid.points
         self.solver = JointSolver(target)
         self.alike = target.equivalence
+        self._axes = {joint.name: joint.axis for joint in target.joints}
         turns = Turns.of(target)
         self.turns = [
             RigidTransform.from_rotation(Rotation.from_matrix(turn)) for turn in turns.all[: turns.declared]
@@ -121,6 +122,27 @@ class _Shared:
             return list(found)
         logs = iter(self.log_likelihoods(frame, likely).tolist())
         return [replace(each, log_likelihood=next(logs)) if each.continues_track else each for each in found]
+
+    def are_same(self, one: Aligned | Registration | Rival, other: Aligned | Registration | Rival) -> bool:
+        """Return whether two poses with their angles are the same, modulo the exact symmetries."""
+        states = [
+            State(rotation_matrix(each.T_sensor_target), each.angles)
+            for each in (one, other)
+            if each.T_sensor_target is not None
+        ]
+        return len(states) == 2 and are_same(
+            *states, alike=self.alike, axes=self._axes, within_rad=DISTINCT_RAD
+        )
+
+    def distinct(self, found: Sequence[Aligned]) -> list[Aligned]:
+        """Return poses with their angles, best first, without those that are the same as a better one."""
+        kept: list[tuple[Aligned, Aligned]] = []
+        for each in sorted(found, key=lambda one: one.loss_m2):
+            exact = {name: replace(angle, sigma_rad=0.0) for name, angle in each.angles.items()}
+            there = replace(each, angles=exact)
+            if not any(self.are_same(there, other) for _, other in kept):
+                kept.append((each, there))
+        return [each for each, _ in kept]
 
     def searches(self, expected: Angles) -> list[Acquirer[Any]]:
         """Return the searches at the angles that the first joint may have."""
@@ -246,7 +268,7 @@ class _Acquirer:
             return belief
         pose = best.T_sensor_target
         best, *found = self._shared.at_one_noise(measurement, [best, *found])
-        same = [self._are_same(pose, best.angles, other.T_sensor_target, other.angles) for other in found]
+        same = [self._shared.are_same(best, other) for other in found]
         compared = found[same.index(True)] if any(same) else best
         rivals = []
         for other, is_best in zip(found, same, strict=True):
@@ -261,30 +283,11 @@ class _Acquirer:
             replace(each, angles=self._tracker.angles(measurement, each.T_sensor_target))
             for each in belief.rivals
         ]
-        own = [
-            each
-            for each in at_angles
-            if not any(
-                self._are_same(each.T_sensor_target, each.angles, other.T_sensor_target, other.angles)
-                for other in rivals
-            )
-        ]
+        own = [each for each in at_angles if not any(self._shared.are_same(each, other) for other in rivals)]
         if not rivals:
             return replace(belief, rivals=tuple(own))
         reason = f"{len(rivals) + 1} poses explain the measurement: the next is {rivals[0].name}"
         return replace(belief, level=BeliefLevel.DOUBTFUL, reason=reason, rivals=(*own, *rivals))
-
-    def _are_same(
-        self, pose: RigidTransform, angles: Angles, other: RigidTransform | None, others: Angles
-    ) -> bool:
-        """Return whether two poses with their angles are the same, modulo the exact symmetries."""
-        return other is not None and are_same(
-            State(rotation_matrix(pose), angles),
-            State(rotation_matrix(other), others),
-            alike=self._shared.alike,
-            axes={joint.name: joint.axis for joint in self._shared.solver.joints},
-            within_rad=DISTINCT_RAD,
-        )
 
     def _aligned(self, measurement: Any, poses: Sequence[RigidTransform]) -> list[Aligned]:
         """Return distinct poses with their angles, best first, from poses and their near-symmetries."""
@@ -295,8 +298,8 @@ class _Acquirer:
                 start = pose * turn
                 angles = shared.solver.angles(points_m, start, self._expected)
                 found.append(shared.solver.aligned(points_m, start, angles))
-        best = _distinct(found, shared.alike)[:REGISTERED]
-        return _distinct([self._least(points_m, each) for each in best], shared.alike)
+        best = shared.distinct(found)[:REGISTERED]
+        return shared.distinct([self._least(points_m, each) for each in best])
 
     def _least(self, points_m: FloatArray, found: Aligned) -> Aligned:
         """Return the best of several poses at which a joint's parts keep their place and the rest turns.
@@ -341,22 +344,6 @@ def _turn_rad(one: RigidTransform, other: RigidTransform, alike: Equivalence) ->
     """Return the angle between the attitudes of two poses, modulo the target's symmetries."""
     cosine = float(alike.cosines(rotation_matrix(one)[None], rotation_matrix(other)[None])[0, 0])
     return acos(min(max(cosine, -1.0), 1.0))
-
-
-def _distinct(found: Sequence[Aligned], alike: Equivalence) -> list[Aligned]:
-    """Return poses with their angles, best first, without those that are the same as a better one."""
-    kept: list[Aligned] = []
-    for each in sorted(found, key=lambda one: one.loss_m2):
-        if not any(_are_alike(each, other, alike) for other in kept):
-            kept.append(each)
-    return kept
-
-
-def _are_alike(one: Aligned, other: Aligned, alike: Equivalence) -> bool:
-    """Return whether two poses with their angles are the same."""
-    apart_rad = [abs(angle.angle_rad - other.angles[name].angle_rad) for name, angle in one.angles.items()]
-    turned_rad = _turn_rad(one.T_sensor_target, other.T_sensor_target, alike)
-    return max(turned_rad, *apart_rad) < DISTINCT_RAD
 
 
 def _explains_alike(best: Registration, other: Registration) -> bool:

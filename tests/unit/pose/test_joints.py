@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.belief import NOISE_M, Angle, Rival
-from rpod_pose.joints.angle_fit import JointSolver, unknown
+from rpod_pose.joints.angle_fit import Aligned, JointSolver, unknown
 from rpod_pose.lidar.methods import LIDAR_METHODS, ideal_scan
 from rpod_pose.lidar.scan_pattern import ScanPattern
 from rpod_pose.measurement import Measurement
@@ -22,7 +22,7 @@ from rpod_schemas.config.estimator import EstimatorSettings, LidarInput
 from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.poses import make_pose, pose_error
 from rpod_schemas.types import BeliefLevel
-from rpod_target import NO_SYMMETRY, load_target, posed
+from rpod_target import NO_SYMMETRY, Symmetry, load_target, posed
 
 ANGLES_RAD = np.deg2rad(np.arange(-15.0, 15.1, 0.5))
 PATTERN = ScanPattern(ANGLES_RAD, ANGLES_RAD, sigma_range_m=0.01)
@@ -114,6 +114,17 @@ def test_poses_are_compared_each_at_its_own_angle_and_rivals_are_tracked_at_thei
     tracks = parallel.started(event, Acquisition(replace(right, belief=doubtful)))
     angles_deg = np.rad2deg([track.joints["drive"].angle.angle_rad for track in tracks])
     np.testing.assert_allclose(angles_deg, [-37.0, 37.0], atol=2.0)  # one attitude, two rivals
+
+
+def test_candidates_of_a_symmetrical_target_differ_if_a_turn_leaves_the_angle(target):
+    alike = replace(target, symmetries=(Symmetry((1.0, 0.0, 0.0), 2, exact=True),))
+    shared = methods_of(LidarInput(), alike, PATTERN).acquirer._shared
+    turned = POSE * make_pose(rotation=Rotation.from_euler("x", 180.0, degrees=True))
+    right, other, same = (
+        Aligned(pose, {"drive": Angle(angle_rad, 1.0)}, loss_m2)
+        for pose, angle_rad, loss_m2 in ((POSE, 0.6, 1.0), (turned, 0.6, 2.0), (turned, -0.6, 3.0))
+    )
+    assert shared.distinct([same, other, right]) == [right, other]
 
 
 def test_a_tracker_finds_the_angle_beside_the_one_that_is_expected(target, methods):
