@@ -85,9 +85,7 @@ class RepeatedLines:
         if not before or not lines.sizes.any():
             return 0.0, 0, 0, name
         same = (np.stack([each.digests for each in before]) == lines.digests) & (lines.sizes > 0)
-        if (
-            not same.any() or same[0][lines.sizes > 0].all()
-        ):  # none, or all of the frame before: no part is new
+        if not same.any() or same[0][lines.sizes > 0].all():  # all of the frame before: no part is new
             return 0.0, 0, 0, name
         tried = np.log(len(lines.sizes) * _FRAMES)  # lines, and frames with which each is compared
         surprise = -np.log(_chance(image, last, same[0]))

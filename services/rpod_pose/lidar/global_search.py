@@ -130,7 +130,7 @@ class GlobalSearch:
         if cleaned is None:
             return found
         again = self._found_in(cleaned, around)
-        if not again.belief.continues_track:
+        if not again.registration.continues_track:
             return found
         return replace(again, registration=with_false_returns(again.registration, whole, cleaned))
 
@@ -231,7 +231,7 @@ class GlobalSearch:
             poses = search.ranked(poses)
             registration = self._tracker.placed(registration, poses[0], poses[0].information)
             belief = search.belief(poses[0])
-        elif registration.T_sensor_target is None or not registration.belief.continues_track:
+        elif not registration.continues_track:
             belief = registration.belief if belief.continues_track else belief
         if registration.T_sensor_target is not None:
             covariance = self._model.turns.exact.with_free_variance(

@@ -7,18 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rpod_geometry.kernels import inner_kernel, kernel
-from rpod_schemas.arrays import FloatArray
+from rpod_schemas.arrays import MAD_TO_SIGMA, FloatArray
 from rpod_schemas.types import Float32Array
 
 BESIDE, RETURNED = 1, 2
 """Flags of a ray: more than one ray away from the target's outline; its return has a residual.
 Numerics: a bit each."""
 
-OF_MEDIAN = 1.4826
-"""Standard deviation over the median of the absolute values. Physics: for normal errors."""
 SCATTER = 1.16
-"""Relative standard deviation of an estimate by this median, times the root of the number of values. Physics:
-for normal errors, of which it uses 37 %."""
+"""Relative standard deviation of an estimate by the median of absolute values, times the root of their
+number. Physics: for normal errors, of which it uses 37 %."""
 SURE = 2.5
 """Standard deviations by which an estimate must be beyond its limit. Physics: one in 160 normal errors is."""
 NOISIER = sqrt(2.0)
@@ -127,7 +125,7 @@ def noise_over(
                 count += 1
     if count == 0:
         return 1.0
-    noise_m = OF_MEDIAN * np.median(sizes_m[:count])
+    noise_m = MAD_TO_SIGMA * np.median(sizes_m[:count])
     uncertain = SURE * SCATTER / sqrt(count)
     if noise_m * (1.0 + uncertain) * NOISIER < sigma_m:
         return noise_m / sigma_m

@@ -30,7 +30,6 @@ MOST = 8
 """Largest number of factors sqrt(2) on the noise. Numerics: 16 times; with more, scans are refused."""
 
 MethodT = TypeVar("MethodT", ProjectiveIcp, GlobalSearch)
-ResultT = TypeVar("ResultT", Registration, Acquisition)
 
 
 class _AtNoise(Generic[MethodT]):
@@ -53,31 +52,22 @@ class _AtNoise(Generic[MethodT]):
             self._methods[step] = self._make(replace(self._pattern, sigma_range_m=sigma_m))
         return self._methods[step]
 
-    def _found(
-        self, call: Callable[[MethodT], ResultT], registration: Callable[[ResultT], Registration]
-    ) -> tuple[ResultT, float]:
-        """Return the result of a call, and the noise that the scan shows, m; 0 if it is as assumed."""
+    def _found(self, call: Callable[[MethodT], Acquisition]) -> Acquisition:
+        """Return the result of a call; its evidence has the noise that the scan shows, if not as assumed."""
         first, step = call(self._at(0)), 0
-        found, stated_m = first, self._pattern.assumed_sigma_m
+        found, noise, stated_m = first, 1.0, self._pattern.assumed_sigma_m
         for _ in range(STEPS):
-            misfit = registration(found).misfit
+            misfit = found.registration.misfit
             noise = 1.0 if misfit is None else misfit.noise
             if noise <= 1.0 or step == MOST:
                 break
             step = min(step + max(1, round(2.0 * log2(noise))), MOST)
             found = call(self._at(step))
-        if step == 0 and noise < 1.0 and not self._pattern.sigma_range_m:
-            return first, stated_m * noise
-        if step == 0 or not registration(found).continues_track:
-            return first, 0.0
-        return found, stated_m * sqrt(2.0) ** step
-
-    def _told(self, found: Registration, noise_m: float) -> Registration:
-        """Return a registration whose evidence has the noise, m, if it is not as assumed."""
-        if not noise_m:
-            return found
-        evidence = {**found.belief.evidence, NOISE_M: noise_m, STATED_NOISE_M: self._pattern.assumed_sigma_m}
-        return replace(found, belief=replace(found.belief, evidence=evidence))
+        if step == 0 and 0.0 < noise < 1.0 and not self._pattern.sigma_range_m:
+            return _told(first, stated_m * noise, stated_m)
+        if step == 0 or not found.registration.continues_track:
+            return first
+        return _told(found, stated_m * sqrt(2.0) ** step, stated_m)
 
 
 class NoisyScanTracker(_AtNoise[ProjectiveIcp]):
@@ -85,8 +75,8 @@ class NoisyScanTracker(_AtNoise[ProjectiveIcp]):
 
     def track(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Registration:
         """Return the registration from a predicted pose, or the reason why the scan gives none."""
-        found, noise_m = self._found(lambda tracker: tracker.track(measurement, T_sensor_target), _itself)
-        return self._told(found, noise_m)
+        found = self._found(lambda tracker: Acquisition(tracker.track(measurement, T_sensor_target)))
+        return found.registration
 
 
 class NoisyScanSearch(_AtNoise[GlobalSearch]):
@@ -94,11 +84,11 @@ class NoisyScanSearch(_AtNoise[GlobalSearch]):
 
     def acquire(self, measurement: LidarScan) -> Acquisition:
         """Return the likeliest pose with its belief, and the other poses that explain the scan."""
-        return self._searched(lambda search: search.acquire(measurement))
+        return self._found(lambda search: search.acquire(measurement))
 
     def near(self, measurement: LidarScan, T_sensor_target: RigidTransform) -> Acquisition:
         """Return the likeliest pose near a given one."""
-        return self._searched(lambda search: search.near(measurement, T_sensor_target))
+        return self._found(lambda search: search.near(measurement, T_sensor_target))
 
     def log_likelihoods(self, measurement: LidarScan, found: Sequence[Registration]) -> FloatArray:
         """Return the log likelihoods of a scan near registered poses, (N,), with their largest noise."""
@@ -106,10 +96,9 @@ class NoisyScanSearch(_AtNoise[GlobalSearch]):
         noise_m = max([stated_m, *(each.belief.larger_noise_m for each in found)])
         return self._at(round(2.0 * log2(noise_m / stated_m))).log_likelihoods(measurement, found)
 
-    def _searched(self, call: Callable[[GlobalSearch], Acquisition]) -> Acquisition:
-        found, noise_m = self._found(call, lambda acquisition: acquisition.registration)
-        return replace(found, registration=self._told(found.registration, noise_m))
 
-
-def _itself(found: Registration) -> Registration:
-    return found
+def _told(found: Acquisition, noise_m: float, stated_m: float) -> Acquisition:
+    """Return a result whose evidence has the noise of a range that the scan shows, and the stated one, m."""
+    belief = found.belief
+    told = replace(belief, evidence={**belief.evidence, NOISE_M: noise_m, STATED_NOISE_M: stated_m})
+    return replace(found, registration=replace(found.registration, belief=told))

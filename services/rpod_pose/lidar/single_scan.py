@@ -17,7 +17,7 @@ def acquire(scan: LidarScan, target: Target, sensor: LidarInfo) -> Acquisition:
     """Return the pose of a target in one scan, found without a guess by the facility's own search.
 
     The first call for a target and a sensor prepares the search in about a second; later calls take
-    milliseconds. A service that configures the search uses a ``GlobalSearch`` instead.
+    milliseconds. A service that configures the search uses ``lidar.methods`` instead.
 
     Args:
         scan: the scan, organised in the sensor's rows and columns or not.
