@@ -147,7 +147,7 @@ class Commanded:
 
     @staticmethod
     def _is_thrust(command: Command) -> bool:
-        return bool(command.acceleration_m_s2.any())
+        return bool(np.linalg.norm(command.acceleration_m_s2) > 0.0)  # of tiny ones it is 0
 
     def _turns(self, begin_ns: int, end_ns: int) -> list[FloatArray]:
         """Return the turns from the begin of a step to the middles of its equal parts, each (3, 3)."""

@@ -55,6 +55,12 @@ def test_a_command_holds_until_the_next_one():
     np.testing.assert_allclose(step.unforced, 0.0, atol=1e-12)
 
 
+def test_a_command_whose_square_is_zero_in_double_precision_is_none():
+    step = over(commanded(command(0.0, np.array([1e-200, 0.0, 0.0]))), 0.0, 0.5)
+    assert np.isfinite(step.way_by_bias).all()
+    assert not step.speed_by_bias.any()
+
+
 def test_a_command_holds_for_a_second_at_most():
     step = over(commanded(command(0.0)), -0.5, 3.0)
     np.testing.assert_allclose(step.speed_m_s, ALONG, rtol=1e-12)
