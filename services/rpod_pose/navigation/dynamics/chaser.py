@@ -54,20 +54,21 @@ class ChaserStep(NamedTuple):
 
 
 def pushed(begin_s: FloatArray | float, end_s: FloatArray | float, step_s: float) -> FloatArray:
-    """Return what a white acceleration in parts of a step does to way and speed at the step's end.
+    """Return what a white acceleration in a part of a step does to way and speed at the step's end.
 
     An acceleration at the begin of a long step moves the chaser until its end.
 
     Args:
-        begin_s: begins of the parts, from that of the step, shape (N,).
-        end_s: ends of the parts, the same.
+        begin_s: begin of the part, from that of the step, s; or of each of several, shape (N,).
+        end_s: its end, the same.
         step_s: duration of the step.
 
     Returns:
-        ``ChaserStep.force_noise`` for a density of 1 m2/s3, summed over the parts, s3, s2 and s, shape (3,).
+        ``ChaserStep.force_noise`` for a density of 1 m2/s3, s3, s2 and s, shape (3,) or (3, N).
     """
-    since_s, until_s = step_s - np.atleast_1d(begin_s), step_s - np.atleast_1d(end_s)
-    return np.array([((since_s**k - until_s**k) / k).sum() for k in (3, 2, 1)])
+    since_s, until_s = step_s - begin_s, step_s - end_s
+    way, mixed = (since_s**3 - until_s**3) / 3.0, (since_s**2 - until_s**2) / 2.0
+    return np.array([way, mixed, since_s - until_s])
 
 
 class Chaser(Protocol):

@@ -100,8 +100,9 @@ class CommandTrack:
         found = np.zeros(3)
         for place in range(max(first, 1), last):
             one, other = self._commands[place - 1], self._commands[place]
+            left_s = (end_ns - self._stamps[place]) * 1e-9
             square = ((other.acceleration_m_s2 - one.acceleration_m_s2) ** 2).sum()
-            found += square * ((end_ns - self._stamps[place]) * 1e-9) ** np.array([2, 1, 0])
+            found += square * np.array([left_s**2, left_s, 1.0])
         return found
 
 
@@ -118,7 +119,6 @@ class Commanded:
         """Return the motion between two stamps, ns."""
         step, pieces = self.turning.step(begin_ns, end_ns), self.commands.pieces(begin_ns, end_ns)
         step_s = (end_ns - begin_ns) * 1e-9
-        ends_s = pieces.begin_s + pieces.length_s
         speed, way = np.zeros((3, 1 + ERRORS)), np.zeros((3, 1 + ERRORS))
         thrusts = [each for each in range(len(pieces.commands)) if self._is_thrust(pieces.commands[each])]
         turns = self._turns(begin_ns, end_ns) if thrusts else []
@@ -129,8 +129,8 @@ class Commanded:
             added = turns[place].T @ self._columns(pieces.commands[each])
             speed += length_s * added
             way += length_s * (step_s - middle_s) * added
-        tuning, known = self.tuning, pushed(pieces.begin_s, ends_s, step_s)
-        noise = tuning.noise_m_s_sqrt_s**2 * pushed(pieces.begin_s[thrusts], ends_s[thrusts], step_s)
+        tuning, held = self.tuning, pushed(pieces.begin_s, pieces.begin_s + pieces.length_s, step_s)
+        noise = tuning.noise_m_s_sqrt_s**2 * held[:, thrusts].sum(axis=1)
         noise += tuning.delay_sigma_s**2 * self.commands.changes(begin_ns, end_ns)
         return step._replace(
             speed_m_s=speed[:, 0],
@@ -138,7 +138,7 @@ class Commanded:
             speed_by_bias=speed[:, 1:],
             way_by_bias=way[:, 1:],
             force_noise=noise,
-            unforced=np.maximum(pushed(0.0, step_s, step_s) - known, 0.0),
+            unforced=np.maximum(pushed(0.0, step_s, step_s) - held.sum(axis=1), 0.0),
         )
 
     def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
@@ -147,7 +147,8 @@ class Commanded:
 
     @staticmethod
     def _is_thrust(command: Command) -> bool:
-        return bool(np.linalg.norm(command.acceleration_m_s2) > 0.0)  # of tiny ones it is 0
+        x, y, z = command.acceleration_m_s2.tolist()
+        return bool(x * x + y * y + z * z > 0.0)  # 0 of one whose direction rounding leaves unknown, too
 
     def _turns(self, begin_ns: int, end_ns: int) -> list[FloatArray]:
         """Return the turns from the begin of a step to the middles of its equal parts, each (3, 3)."""
