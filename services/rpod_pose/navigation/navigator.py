@@ -309,6 +309,7 @@ class Navigator:
         if reason:
             return self._reject(state, event, registration, reason=reason)
         measured = as_measured(registration, event, state.streams.get(event.sensor))
+        measured = self._newcomers.beside.known(measured, predicted)
         measured = replace(measured, alone=tracked and registration.belief.is_proof)
         state, nis, accepted = applied(state, history, measured, self._settings.filter, predicted)
         if not accepted:

@@ -34,7 +34,7 @@ from rpod_pose.navigation.filter import (
     update,
     velocity_sigma_m_s,
 )
-from rpod_pose.navigation.filter.blocks import Known, averaged, root_of, variances, with_known
+from rpod_pose.navigation.filter.blocks import Known, averaged, root_of, unknown, variances, with_known
 from rpod_pose.navigation.filter.rotations import cross_matrix, symmetric
 from rpod_pose.pose_evidence import ErrorParts
 from rpod_schemas.arrays import FloatArray
@@ -46,6 +46,8 @@ ResultT = TypeVar("ResultT")
 
 MOUNT = "mount of {}"
 """Name of the block with the error of a sensor's mount: (dp, dtheta) of the stated mount, chaser axes."""
+_BESIDE = "{} differs from the track"
+"""Name of the block with the declared differences of a sensor from the track that another one began."""
 _CALIBRATION, _IMAGE, _MODEL = "calibration of {}", "image of {}", "model as {} sees it"
 
 
@@ -79,6 +81,9 @@ class PoseMeasurement:
     lasting_s: float = 0.0
     """RMS time between the returns and the stamp, s. An error of the twist that de-skewed the frame shifts
     the pose by about this error multiplied by this time."""
+    declared: FloatArray | None = None
+    """What one standard deviation of each declared difference from the track does to (dp, dtheta), chaser axes,
+    shape (6, n); None for a sensor that began the track, and where mounts are states."""
 
 
 class Shared(NamedTuple):
@@ -176,6 +181,12 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
         mount = mount_of(origin.sensor, config)
         blocks.append(mount)
         by[mount.name] = _by_mount(measured.T_chaser_target, origin.T_chaser_sensor)
+    if measured.declared is not None:
+        beside = Block(
+            beside_of(origin.sensor), *(f(measured.declared.shape[1]) for f in (np.zeros, np.ones))
+        )
+        blocks.append(beside)
+        by[beside.name] = measured.declared
     if config.errors == "inflated" or origin.parts is None:
         return Shared(measured.covariance, white=False, blocks=tuple(blocks), sensitivities=by)
     parts, before = origin.parts, {block.name: block for block in known}
@@ -204,6 +215,21 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
 def is_of_sensor(block: str) -> bool:
     """Return whether a block of this name is of a sensor's mount or calibration, whatever is seen."""
     return block.startswith((MOUNT.format(""), _CALIBRATION.format("")))
+
+
+def beside_of(sensor: str) -> str:
+    """Return the name of the block with the declared differences of a sensor from another one's track."""
+    return _BESIDE.format(sensor)
+
+
+def alone_of(blocks: Sequence[Block]) -> tuple[Block, ...]:
+    """Return blocks before any measurement, without those of differences from another sensor's track."""
+    return unknown([block for block in blocks if not is_beside(block.name)])
+
+
+def is_beside(block: str) -> bool:
+    """Return whether a block of this name is of a sensor's differences from another one's track."""
+    return block.endswith(_BESIDE.format(""))
 
 
 def calibration_of(sensor: str) -> str:

@@ -16,7 +16,7 @@ from rpod_pose.navigation.challenger import EXPLAINED_DEG
 from rpod_pose.navigation.dynamics.free_motion import FORCE_ERRORS, GYRO_BIAS
 from rpod_pose.navigation.filter import ATTITUDE, FilterState, predict, separation_of
 from rpod_pose.navigation.filter.blocks import Known
-from rpod_pose.navigation.pose_measurement import PoseMeasurement, is_of_sensor
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, is_beside, is_of_sensor
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
 
@@ -42,7 +42,8 @@ def carried(past: FilterState, measured: PoseMeasurement, config: FilterConfig) 
         )
     there = predict(past, max(measured.stamp_ns, past.stamp_ns), config)
     goes_on = _continues(there, measured)
-    return there.known_of({block.name for block in there.blocks if goes_on or _is_of_facility(block.name)})
+    kept = (block.name for block in there.blocks if goes_on or _is_of_facility(block.name))
+    return there.known_of({name for name in kept if not is_beside(name)})
 
 
 def _continues(predicted: FilterState, measured: PoseMeasurement) -> bool:

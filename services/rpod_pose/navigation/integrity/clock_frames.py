@@ -15,11 +15,12 @@ are.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rpod_pose.navigation.filter import POSE, TWIST, FilterState, gate_nis, predict, separation_of
+from rpod_pose.navigation.filter import POSE, TWIST, FilterState, gate_nis, predict
+from rpod_pose.navigation.filter.correction import pose_difference
 from rpod_pose.navigation.history import Step
 from rpod_pose.navigation.integrity.clocks import Late, Pair, clock_test
 from rpod_pose.navigation.integrity.levels import Solution, declared_covariance
@@ -62,9 +63,9 @@ def apart_of(step: Step, without: FilterState, earlier: FilterState, config: Fil
         earlier: the same filter, as long before as it is known.
         config: the filter's configuration.
     """
-    predicted, found, measured = step.predicted, step.outcome, step.measurement
+    predicted, measured = step.predicted, replace(step.measurement, declared=None)
     without = predict(without, measured.stamp_ns, config)
-    d = found.innovation.difference + separation_of(predicted, without)
+    d = pose_difference(measured.T_chaser_target, without.T_chaser_target, predicted.alike)
     shared = shared_errors(measured, config, predicted.blocks)
     of_track = without.covariance[POSE, POSE]
     lasting = of_track + sum((by @ by.T for by in shared.sensitivities.values()), np.zeros((6, 6)))

@@ -17,7 +17,6 @@ from itertools import combinations
 import numpy as np
 
 from rpod_pose.navigation.filter import FilterState, gate_nis, predict
-from rpod_pose.navigation.filter.blocks import unknown
 from rpod_pose.navigation.history import Step, after
 from rpod_pose.navigation.integrity.clock_frames import TwoClocks, apart_of, two_clocks
 from rpod_pose.navigation.integrity.clocks import Pair, clock_of_mounts
@@ -41,7 +40,7 @@ from rpod_pose.navigation.integrity.residuals import (
     separation_test,
 )
 from rpod_pose.navigation.integrity.sizes import SizedFilters, shifts_of, sized_after
-from rpod_pose.navigation.pose_measurement import PoseMeasurement, started
+from rpod_pose.navigation.pose_measurement import PoseMeasurement, alone_of, compared, started
 from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -126,8 +125,11 @@ class Monitor:
         predicted, measured = step.predicted, step.measurement
         if measured.origin is not None:
             memory = replace(memory, mounts={**memory.mounts, sensor: measured.origin.T_chaser_sensor})
-        lasting = lasting_errors(predicted, step.outcome.innovation, self._config)
-        residual = residual_of(predicted, step.outcome.innovation, measured.stamp_ns, lasting)
+        found = step.outcome.innovation
+        if measured.declared is not None:  # the tests have declared errors of their own
+            found = compared(predicted, replace(measured, declared=None), self._filter)
+        lasting = lasting_errors(predicted, found, self._config)
+        residual = residual_of(predicted, found, measured.stamp_ns, lasting)
         if residual is not None:
             memory = memory.with_residual(sensor, residual, self._tuning.window_s)
         before = memory.former_at(sensor, measured.stamp_ns) if sensor == memory.slow else None
@@ -153,10 +155,12 @@ class Monitor:
     ) -> Mapping[str, FilterState]:
         """Return the filters without one sensor after a measurement of ``sensor``; none for one sensor.
 
-        A filter without a newcomer begins with the track that has not used its frames.
+        A filter without a newcomer begins with the track that has not used its frames. In the filter of a
+        newcomer alone, its frames do not differ from a track of another sensor.
         """
         if len(memory.residuals) < 2:
             return {}
+        measured = replace(measured, declared=None)
         found = {name: each for name, each in memory.without.items() if name in memory.residuals}
         for name in memory.residuals:
             alone = _without_newcomers(state, name, measured.stamp_ns, self._filter)
@@ -165,7 +169,7 @@ class Monitor:
             elif name not in found:
                 found[name] = alone or started(
                     measured, config=self._filter, centre_of_mass_m=predicted.centre_of_mass_m,
-                    alike=predicted.alike, blocks=unknown(predicted.blocks),
+                    alike=predicted.alike, blocks=alone_of(predicted.blocks),
                     model=predicted.model,
                 )  # fmt: skip
             elif measured.stamp_ns >= found[name].stamp_ns:

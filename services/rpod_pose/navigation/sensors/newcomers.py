@@ -9,6 +9,7 @@ from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
 from rpod_pose.navigation.registering import Registrar
+from rpod_pose.navigation.sensors.beside import Beside
 from rpod_pose.navigation.sensors.joining import Separation, probation, update_separation
 from rpod_pose.navigation.sensors.streams import is_supported
 from rpod_pose.navigation.state import NavigatorState, Output
@@ -46,7 +47,7 @@ class Newcomers:
         accepting: Accepting,
     ) -> None:
         self._config, self._limits = settings.filter, settings.navigator
-        self._stale_after_s = settings.stale_after_s
+        self._stale_after_s, self.beside = settings.stale_after_s, Beside(settings)
         self._registrar, self._output, self._accepting = registrar, output, accepting
 
     def offer(
@@ -71,6 +72,7 @@ class Newcomers:
             return state, self._output(state, event, registration, reason=reason)
         since_s = separation.including.since_s(event.stamp_ns, event.sensor)  # on probation too
         measured = replace(as_measured(registration, event), since_s=since_s)
+        measured = self.beside.newcomer(measured, predicted)
         grown, nis, accepted = apply(separation.including, measured, self._config, predicted)
         beside = None
         if not (accepted and separation.joined):
