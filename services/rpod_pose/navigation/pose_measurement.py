@@ -82,8 +82,8 @@ class PoseMeasurement:
     """RMS time between the returns and the stamp, s. An error of the twist that de-skewed the frame shifts
     the pose by about this error multiplied by this time."""
     declared: FloatArray | None = None
-    """What one standard deviation of each declared difference from the track does to (dp, dtheta), chaser axes,
-    shape (6, n); None for a sensor that began the track, and where mounts are states."""
+    """What one standard deviation of each declared difference from the track does to (dp, dtheta), shape
+    (6, n), chaser axes; None for a sensor that began the track, and where mounts are states."""
 
 
 class Shared(NamedTuple):
@@ -182,9 +182,8 @@ def shared_errors(measured: PoseMeasurement, config: FilterConfig, known: Sequen
         blocks.append(mount)
         by[mount.name] = _by_mount(measured.T_chaser_target, origin.T_chaser_sensor)
     if measured.declared is not None:
-        beside = Block(
-            beside_of(origin.sensor), *(f(measured.declared.shape[1]) for f in (np.zeros, np.ones))
-        )
+        size = measured.declared.shape[1]
+        beside = Block(beside_of(origin.sensor), np.zeros(size), np.ones(size))
         blocks.append(beside)
         by[beside.name] = measured.declared
     if config.errors == "inflated" or origin.parts is None:

@@ -1,11 +1,11 @@
 """How a sensor's poses may differ from the track that another sensor began: as far as is declared.
 
-Mounts, clocks and ranges of two sensors are declared to be right within some standard deviations. So a pose of
-the second sensor differs from the track of the first by an error that lasts: 6 mm at 12 m along the line of
-sight by ranges that are right to 0.05 % each. Two sensors that know their poses to 1 mm would contradict each
-other although both are as good as declared. Therefore a sensor that comes to a track has a block of states,
-the differences of these errors of two sensors. The filter estimates them with the declared standard deviation
-as the prior. So the track stays in the frame of the sensor that began it.
+Mounts, clocks and ranges of two sensors are declared to be right within some standard deviations. So a pose
+of the second sensor differs from the track of the first by an error that lasts: 8 mm at 12 m along the line
+of sight by ranges that are right to 0.05 % each. Two sensors that know their poses to 1 mm would contradict
+each other although both are as good as declared. Therefore a sensor that comes to a track has a block of
+states, the differences of these errors of two sensors. The filter estimates them with the declared standard
+deviation as the prior. So the track stays in the frame of the sensor that began it.
 
 Where the configuration has mounts as states (``filter.mount_sigma_deg``), these stand for the differences.
 """
