@@ -163,12 +163,11 @@ class DepthPreparation:
         rays = rays_if_any(frame.camera)
         if rays is None:
             return frame  # the method reports the error of the lens
-        cosine = rays.components[2]
-        shown_m = cast(rays, self.target.triangles_m, T_sensor_target).range_m
-        with np.errstate(invalid="ignore"):
-            short_m = shown_m - frame.depth_m / cosine
-        depth_m = frame.depth_m + wraps(short_m, self._frequencies(frame)[0][1]) * cosine
-        return frame.model_copy(update={"depth_m": depth_m.astype(np.float32)})
+        closed, depth_m = self.target.field is not None, np.empty(frame.depth_m.shape, np.float32)
+        hits = cast(rays, self.target.triangles_m, T_sensor_target, cull_back_faces=closed)
+        intervals_m = np.array([unambiguous_range_m(hertz) for hertz in self._frequencies(frame)[0][1]])
+        unwrap(frame.depth_m, rays.components[2], hits.range_m, intervals_m, depth_m)
+        return frame.model_copy(update={"depth_m": depth_m})
 
     def _frequencies(self, frame: PmdFrame) -> list[tuple[str, tuple[float, ...]]]:
         """Return the sources of the modulation frequencies with their values; the first is used."""
@@ -291,20 +290,25 @@ def prepared_likelihoods(likelihoods: Likelihoods, preparation: DepthPreparation
     return prepared
 
 
-def wraps(short_m: FloatArray, frequencies_hz: Sequence[float]) -> FloatArray:
-    """Return the lengths by which wrapped distances are too short, m, same shape; 0 for the others.
+@kernel
+def unwrap(
+    depth_m: Float32Array, ray_z: Float32Array, shown_m: Float32Array, whole_m: FloatArray, out: Float32Array
+) -> None:
+    """Fill ``out`` with depth whose wrapped distances are shifted; all others keep their values.
 
-    Args:
-        short_m: expected minus measured distances, m, any shape; not finite if unknown.
-        frequencies_hz: modulation frequencies, Hz, at least one.
+    A wrapped distance is too short by whole unambiguous ranges ``whole_m`` of all frequencies, shape (F,).
+    Depth, z of the unit rays, expected distance (not finite if unknown) and ``out``: shape (height, width).
     """
-    found_m = np.zeros(short_m.shape)
-    far = np.isfinite(short_m) & (short_m > 0.0)
-    interval_m = np.array([[unambiguous_range_m(hertz)] for hertz in frequencies_hz])
-    whole_m = interval_m * np.rint(short_m[far] / interval_m)
-    fits = np.abs(short_m[far] - whole_m) <= _MARGIN * interval_m
-    found_m[far] = np.where(fits.all(axis=0), whole_m[0], 0.0)
-    return found_m
+    depths, cosines, shown, shifted = depth_m.ravel(), ray_z.ravel(), shown_m.ravel(), out.ravel()
+    for pixel in range(depths.size):
+        depth, far_m, fits = depths[pixel], shown[pixel], True
+        shifted[pixel], short_m = depth, far_m - depth / cosines[pixel]
+        if not (far_m < np.inf and short_m > 0.5 * whole_m[0]):  # NaN is skipped too
+            continue
+        for each_m in whole_m:
+            fits &= abs(short_m - each_m * np.rint(short_m / each_m)) <= _MARGIN * each_m
+        if fits:
+            shifted[pixel] = depth + whole_m[0] * np.rint(short_m / whole_m[0]) * cosines[pixel]
 
 
 def corrections(calibration: DepthCalibration | None) -> Float32Array:

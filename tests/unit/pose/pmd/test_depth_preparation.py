@@ -18,7 +18,7 @@ from rpod_pose.pmd.depth_preparation import (
     PreparedAcquirer,
     PreparedTracker,
     calibrated,
-    wraps,
+    unwrap,
 )
 from rpod_pose.ports import Acquisition, Outcome, Registration
 from rpod_schemas.config.estimator import PmdInput
@@ -188,11 +188,22 @@ def test_a_body_longer_than_the_unambiguous_range_is_tracked(yaw_deg, range_m):
 def test_a_distance_is_wrapped_where_all_its_phases_are_the_expected_ones():
     first_m, second_m = unambiguous_range_m(MHZ_20), unambiguous_range_m(MHZ_30)
     short_m = np.array([0.1, first_m + 0.1, first_m + 0.6, -first_m, 2.0 * first_m, np.nan, np.inf])
-    np.testing.assert_allclose(wraps(short_m, [MHZ_20]), [0.0, first_m, 0.0, 0.0, 2.0 * first_m, 0.0, 0.0])
     assert abs(2.0 * first_m - 3.0 * second_m) < 0.1
-    np.testing.assert_allclose(
-        wraps(short_m, [MHZ_20, MHZ_30]), [0.0, 0.0, 0.0, 0.0, 2.0 * first_m, 0.0, 0.0]
-    )
+    depth_m, cosine = np.full((1, 7), 8.0, np.float32), np.full((1, 7), 0.8, np.float32)
+    shown_m = (depth_m / cosine + short_m).astype(np.float32)
+    shifted_m = {MHZ_20: [0, first_m, 0, 0, 2 * first_m, 0, 0], MHZ_30: [0, 0, 0, 0, 2 * first_m, 0, 0]}
+    for highest, expected_m in shifted_m.items():
+        intervals_m = np.array([unambiguous_range_m(hertz) for hertz in sorted({MHZ_20, highest})])
+        out_m = np.empty_like(depth_m)
+        unwrap(depth_m, cosine, shown_m, intervals_m, out_m)
+        np.testing.assert_allclose(out_m - depth_m, 0.8 * np.array([expected_m]), atol=1e-5)
+
+
+def test_pixels_without_depth_keep_their_values_where_distances_are_unwrapped():
+    depth_m = np.array([[np.nan, -0.1, 0.0]], np.float32)
+    out_m, ones = np.empty_like(depth_m), np.ones_like(depth_m)
+    unwrap(depth_m, ones, np.full_like(depth_m, 9.0), np.array([7.0, 5.0]), out_m)
+    np.testing.assert_array_equal(out_m, depth_m)
 
 
 class Listener:
