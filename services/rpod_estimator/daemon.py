@@ -2,18 +2,21 @@
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from threading import Event
 from typing import Any
 
-from rpod_estimator.estimator import TICK_S, Estimator, check_reset
+from rpod_estimator.ahead import Held
+from rpod_estimator.estimator import TICK_S, Estimator, Unjudged, check_reset
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.bodies import BodyInput, BodyReport
 from rpod_estimator.inputs.command import CommandInput
 from rpod_estimator.inputs.imu import ImuInput
 from rpod_estimator.inputs.stamped import StampedInput
 from rpod_estimator.inputs.subscriptions import Subscriptions
+from rpod_estimator.judging import Judging
 from rpod_estimator.live_searches import LiveSearches, Worker
 from rpod_estimator.outputs import Outputs
 from rpod_estimator.search_process import Loaded, SearchProcess, native_threads
@@ -78,7 +81,11 @@ def _serve(
             BodyInput(node, config, estimator.bodies),
         )
         bodies = BodyReport(node, estimator.bodies)
-        with Beacon(Validity(config.stale_after_s), outputs.publish_validity, node.clock) as beacon:
+        with (
+            Beacon(Validity(config.stale_after_s), outputs.publish_validity, node.clock) as beacon,
+            Judging(at_once=config.in_lockstep or estimator.uses_readings) as judging,
+            Held(config.filter.max_delay_s, subscriptions.wake) as held,
+        ):
             service = _Service(
                 estimator,
                 subscriptions,
@@ -86,6 +93,8 @@ def _serve(
                 beacon,
                 searches=live,
                 readings=readings,
+                judging=judging,
+                held=held,
                 in_lockstep=config.in_lockstep,
             )
             node.serve("reset", ResetRequest, service.reset, ros=RESET_SERVICE)
@@ -97,11 +106,11 @@ def _serve(
                 estimator.learn(subscriptions.infos)
                 if arrived is not None:
                     service.take(arrived)
+                service.take_held()
                 service.tick(node.clock.settled_ns())
                 bodies.update()
                 subscriptions.report_health(estimator.mode)
-            for arrived in subscriptions.rest():  # each frame gets a status, or is counted as dropped
-                service.take(arrived, lets_time_pass=False)
+            service.take_rest(subscriptions.rest())  # each frame gets a status, or is counted as dropped
             bodies.update()
 
 
@@ -117,12 +126,15 @@ class _Service:
         *,
         searches: LiveSearches,
         readings: Sequence[StampedInput[Any]],
+        judging: Judging,
+        held: Held,
         in_lockstep: bool,
     ) -> None:
         self._estimator, self._subscriptions = estimator, subscriptions
         self._outputs, self._beacon = outputs, beacon
         self._searches, self._reset = searches, Event()
         self._readings, self._in_lockstep = readings, in_lockstep
+        self._judging, self._held = judging, held
 
     def reset(self, request: ResetRequest) -> Accepted:
         """Start the estimation again, and accept the present setups of the sensors."""
@@ -131,21 +143,52 @@ class _Service:
         self._reset.set()
         return self._estimator.request_reset(request)
 
-    def take(self, arrived: Arrived, *, lets_time_pass: bool = True) -> None:
+    def take(self, arrived: Arrived) -> None:
+        """Process a frame, or begin to register it while frames of other sensors are processed."""
+        if (due := self._held.due_before(arrived)) is not None:
+            self._process(due)
+        if self._in_lockstep or not self._held.is_free:
+            self.take_now(arrived)
+            return
+        self._take_readings(arrived)
+        register = self._estimator.ahead(arrived)
+        if register is None:
+            self._process(arrived)
+        else:
+            self._held.hold(arrived, register)
+
+    def take_held(self) -> None:
+        """Process the frame that was registered in a thread, if there is one."""
+        if (due := self._held.due()) is not None:
+            self._process(due)
+
+    def take_rest(self, waiting: Iterable[Arrived]) -> None:
+        """Process the last frames; no time passes between them."""
+        if (due := self._held.rest()) is not None:
+            self._process(due)
+        for arrived in waiting:
+            self.take_now(arrived, lets_time_pass=False)
+
+    def take_now(self, arrived: Arrived, *, lets_time_pass: bool = True) -> None:
         """Process a frame, after the readings and, in lockstep, the time up to its stamp."""
+        self._take_readings(arrived)
+        if arrived.came_in_time and self._in_lockstep and lets_time_pass:
+            for output in self._estimator.let_time_pass(arrived.stamp_ns):
+                self.publish(output)
+        self._process(arrived)
+
+    def _take_readings(self, arrived: Arrived) -> None:
+        """Wait for the readings up to a frame's stamp."""
         if arrived.came_in_time:
             for each in self._readings:
                 each.take_until(arrived.stamp_ns)
-            if self._in_lockstep and lets_time_pass:
-                for output in self._estimator.let_time_pass(arrived.stamp_ns):
-                    self.publish(output)
-        self._process(arrived)
 
     def tick(self, now_ns: int) -> None:
         """Advance the time to a stamp with the readings that have arrived, and publish the results."""
         if not self._in_lockstep:
             for each in self._readings:
                 each.take_in()
+        self._judging.check()
         self.publish(self._estimator.tick(now_ns))
         for output in self._estimator.unreported(now_ns, self._searches):
             self.publish(output)
@@ -162,10 +205,15 @@ class _Service:
             self._searches.end_pauses()
 
     def publish(self, output: Output | None, arrived: Arrived | None = None) -> None:
-        """Publish a result, and with it whether it is valid."""
-        if output is not None:
-            self._outputs.publish_estimate(output, self._beacon.take(output, arrived))
-            since_s = arrived.arrival_s if arrived is not None else None
-            frozen = arrived is not None and arrived.is_frozen
-            integrity = self._estimator.integrity(output, frozen=frozen)
-            self._outputs.publish_judgement(output.status, integrity, since_s=since_s)
+        """Publish a result, and with it whether it is valid; its integrity and status follow."""
+        if output is None:
+            return
+        self._outputs.publish_estimate(output, self._beacon.take(output, arrived))
+        since_s = arrived.arrival_s if arrived is not None else None
+        frozen = arrived is not None and arrived.is_frozen
+        self._judging.add(partial(self._judge, self._estimator.unjudged(output, frozen=frozen), since_s))
+
+    def _judge(self, result: Unjudged, since_s: float | None) -> None:
+        """Publish the integrity and the status of a result, whose frame arrived at ``since_s``."""
+        integrity = self._estimator.judge(result)
+        self._outputs.publish_judgement(result.output.status, integrity, since_s=since_s)

@@ -5,12 +5,13 @@ The daemon passes frames from the bus to it, a replay passes frames from a log.
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
 
+from rpod_estimator.ahead import Ahead
 from rpod_estimator.frame_hint import described
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
@@ -58,6 +59,19 @@ ASSUMED_AGAIN = "poses agree again with what is assumed of the chaser, by its co
 _TICK_NS = round(TICK_S * NANOSECONDS)
 
 
+@dataclass(frozen=True, eq=False)
+class Unjudged:
+    """A result whose integrity is not known yet."""
+
+    output: Output
+    state: NavigatorState
+    """State of the navigator after it."""
+    frozen: bool
+    """Whether its frame was refused because its stream is frozen."""
+    forgets: bool
+    """Whether a reset came before it."""
+
+
 class Estimator:
     """Holds the navigator and its state between frames; resets may come from another thread.
 
@@ -75,6 +89,7 @@ class Estimator:
         self._setups: dict[str, Any] = {}
         self._methods: dict[str, Methods] = {}
         self._known: dict[str, KnownParts] = {}
+        self._ahead = Ahead(config)
         self.bodies = self._known_bodies()
         """Known bodies beside the target, whose poses a receiver adds; None for none."""
         self._log_unreliable_parts()
@@ -98,7 +113,7 @@ class Estimator:
             searches=self._searches,
         )
         self._state: NavigatorState = self._navigator.start(config.initial_pose)
-        self._monitor, self._memory = Monitor(config), Memory()
+        self._monitor, self._memory, self._forgets = Monitor(config), Memory(), False
         self._resets: SimpleQueue[ResetRequest] = SimpleQueue()
         self._passed_ns: int | None = None
         self._is_reset = False
@@ -130,7 +145,7 @@ class Estimator:
             if infos.get(name) is not None:
                 log.info("%s: %s", name, setup)
             self._setups[name] = setup
-            self._methods[name] = ready_methods(sensor, self._target, setup)
+            self._methods[name] = self._ahead.following(name, ready_methods(sensor, self._target, setup))
             self._learn_surroundings(sensor, setup)
 
     def _known_bodies(self) -> KnownBodies | None:
@@ -179,6 +194,11 @@ class Estimator:
         """Commanded accelerations of the chaser, to which their receiver adds; None if they are not used."""
         return self._dynamics.commands
 
+    @property
+    def uses_readings(self) -> bool:
+        """Whether predictions use readings or commands of the chaser, which arrive between frames."""
+        return self.imu is not None or self.commands is not None
+
     def request_reset(self, request: ResetRequest) -> Accepted:
         """Start again with the next frame, without a pose or from a given pose."""
         check_reset(request)
@@ -199,7 +219,7 @@ class Estimator:
                 request.pose, covariance=request.covariance, stamp_ns=request.stamp_ns
             )
             self._state = replace(started, shown_ns=self._state.shown_ns)
-            self._memory, self._is_reset = Memory(), True
+            self._forgets, self._is_reset = True, True
             self._searches.keep(())
 
     def _begin_anew(self, stamp_ns: int) -> None:
@@ -213,6 +233,17 @@ class Estimator:
         for readings in (self.imu, self.commands):
             if readings is not None:
                 readings.forget()
+
+    def ahead(self, arrived: Arrived) -> Callable[[], None] | None:
+        """Return the function that registers a frame before it is processed; None if that is of no use.
+
+        It may run in another thread, while frames of other sensors are processed. The results of ``process``
+        are the same with and without it.
+        """
+        measurement, is_alone = arrived.measurement, len(self._sensors) == 1
+        if measurement is None or is_alone or arrived.sensor not in self._methods.keys() - self._known.keys():
+            return None
+        return self._ahead.of(self._state, measurement, self._methods[arrived.sensor])
 
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
@@ -270,7 +301,17 @@ class Estimator:
             output: the result.
             frozen: whether its frame was refused because its stream is frozen.
         """
-        self._memory, found = self._monitor.assess(self._memory, self._state, output, frozen=frozen)
+        return self.judge(self.unjudged(output, frozen=frozen))
+
+    def unjudged(self, output: Output, *, frozen: bool = False) -> Unjudged:
+        """Return what ``judge`` needs to know of the newest result; arguments as for ``integrity``."""
+        forgets, self._forgets = self._forgets, False
+        return Unjudged(output, self._state, frozen, forgets)
+
+    def judge(self, result: Unjudged) -> Integrity:
+        """Return the integrity of a result; to be called once for each, in their order, from any thread."""
+        memory = Memory() if result.forgets else self._memory
+        self._memory, found = self._monitor.assess(memory, result.state, result.output, frozen=result.frozen)
         return found
 
     def tick(self, now_ns: int) -> Output | None:

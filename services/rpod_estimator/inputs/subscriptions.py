@@ -149,6 +149,10 @@ class Subscriptions:
         while (arrived := self._next()) is not None:
             yield arrived
 
+    def wake(self) -> None:
+        """Make ``newest`` return at once, or the next call of it."""
+        self._waiting.wake()
+
     def _put_part(self, received: Received) -> None:
         """Enqueue a part; count frames that are dropped because the inbox is full or the estimator ends."""
         for dropped in [received] if self._ended else self._waiting.put(received):
@@ -161,11 +165,11 @@ class Subscriptions:
             self._put(sensor, assembler.release())
 
     def _take_in(self, timeout_s: float) -> None:
-        parts = self._waiting.wait(timeout_s)
+        parts, woken = self._waiting.wait(timeout_s), self._waiting.take_wake()
         self.heard_until_s = time.monotonic()
         with self._lock:
             self._take_all(parts)
-        if timeout_s and not parts and not self._in_lockstep:
+        if timeout_s and not (parts or woken or self._in_lockstep):
             self._release()
         for name, (sensor, part) in self._reader.parts.items():
             if part == self._reader.leading[sensor] and self.health.books[sensor].is_unheard:

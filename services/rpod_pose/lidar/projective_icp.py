@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import softmax
 
+from rpod_geometry.rays import Hits
 from rpod_pose.belief import worst_sigma
 from rpod_pose.lidar.outline.other_size import OtherSizes
 from rpod_pose.lidar.posterior.sampled_posterior import SPREAD, SampledPosterior
@@ -212,7 +213,9 @@ class ProjectiveIcp:
         if not registration.continues_track:
             return registration
         assumed, declared = self.model.assumed, self._model_error.scale
-        sizes = OtherSizes(problem, found, seen.range_m, assumed, self._reach, declared)
+        # Another thread may call them while the next scan is cast.
+        apart = problem._replace(buffers=Hits.of(seen.grid).arrays)
+        sizes = OtherSizes(apart, found, seen.range_m, assumed, self._reach, declared)
         return replace(registration, other_sizes=sizes)
 
     def _resumed(

@@ -59,6 +59,7 @@ class Inbox:
         self._messages: deque[Received] = deque()
         self._bytes = 0
         self._arrival = Condition()
+        self._is_woken = False
         self.overflowed = 0
 
     def put(self, received: Received) -> list[Received]:
@@ -79,8 +80,20 @@ class Inbox:
     def wait(self, timeout_s: float) -> list[Received]:
         """Return all queued messages in order of arrival; wait up to the timeout for the first one."""
         with self._arrival:
-            self._arrival.wait_for(lambda: self._messages, timeout_s)
+            self._arrival.wait_for(lambda: self._messages or self._is_woken, timeout_s)
             messages = list(self._messages)
             self._messages.clear()
             self._bytes = 0
         return messages
+
+    def wake(self) -> None:
+        """End a wait, or the next one."""
+        with self._arrival:
+            self._is_woken = True
+            self._arrival.notify()
+
+    def take_wake(self) -> bool:
+        """Return whether ``wake`` was called since the last call."""
+        with self._arrival:
+            woken, self._is_woken = self._is_woken, False
+        return woken

@@ -5,9 +5,12 @@ from types import SimpleNamespace
 import pytest
 
 from rpod_estimator.daemon import _Service
+from rpod_estimator.judging import Judging
 from rpod_schemas.control import Accepted, ResetRequest
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.poses import make_pose
+
+THREADS = {"judging": Judging(at_once=True), "held": SimpleNamespace()}
 
 
 class Asked:
@@ -26,7 +29,7 @@ class Asked:
 
 def service(estimator: Asked, subscriptions: Asked, searches: Asked) -> _Service:
     parts = estimator, subscriptions, SimpleNamespace(), SimpleNamespace()
-    return _Service(*parts, searches=searches, readings=(), in_lockstep=False)  # type: ignore[arg-type]
+    return _Service(*parts, searches=searches, readings=(), **THREADS, in_lockstep=False)  # type: ignore[arg-type]
 
 
 def test_a_reset_that_is_refused_changes_nothing():
@@ -59,6 +62,7 @@ def test_readings_are_taken_in_while_no_frame_comes_but_not_in_lockstep():
     for in_lockstep, taken in ((False, 1), (True, 0)):
         readings = Readings()
         parts = Still(), Asked(), SimpleNamespace(), SimpleNamespace()
-        made = _Service(*parts, searches=Asked(), readings=(readings,), in_lockstep=in_lockstep)  # type: ignore[arg-type]
+        rest = {"readings": (readings,), "in_lockstep": in_lockstep}
+        made = _Service(*parts, searches=Asked(), **rest, **THREADS)  # type: ignore[arg-type]
         made.tick(1)
         assert readings.taken == taken

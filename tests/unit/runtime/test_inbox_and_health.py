@@ -20,6 +20,14 @@ def test_an_inbox_hands_out_all_in_order_of_arrival():
     assert inbox.wait(0.0) == []
 
 
+def test_a_wait_ends_when_it_is_woken_and_the_wake_is_told_once():
+    inbox = Inbox()
+    inbox.wake()
+    assert inbox.wait(timeout_s=60.0) == []
+    assert inbox.take_wake()
+    assert not inbox.take_wake()
+
+
 def test_what_does_not_fit_an_inbox_is_counted_and_the_newest_stay():
     inbox = Inbox(capacity=2)
     for number in range(1, 6):

@@ -1,6 +1,7 @@
 """Scans of a target that has another size than its model."""
 
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -41,6 +42,18 @@ def test_another_process_gets_the_poses_of_other_sizes_without_the_scan_and_the_
     assert {share: size.log_odds for share, size in there.items()} == {
         share: size.log_odds for share, size in here.items()
     }
+
+
+def test_other_sizes_are_the_same_while_another_scan_is_tracked(scan):
+    own, other = tracker(), random_pose(4)
+    expected, found, between = own.track(scan, T).other_sizes(), own.track(scan, T), scan_at(other)
+    with ThreadPoolExecutor(1) as pool:
+        for _ in range(5):
+            sizes = pool.submit(found.other_sizes)
+            while not sizes.done():
+                own.track(between, other)
+            for size, same in zip(sizes.result(), expected, strict=True):
+                assert (size.log_odds, size.step.tolist()) == (same.log_odds, same.step.tolist())
 
 
 @pytest.mark.parametrize("percent", [-3, 3])
