@@ -90,6 +90,13 @@ class Ahead:
         self._trackers[sensor] = AheadTracker(methods.tracker)
         return replace(methods, tracker=self._trackers[sensor])
 
+    def may_pass(self, state: NavigatorState, sensor: str, stamp_ns: int) -> bool:
+        """Return whether the scans before still support the track at a stamp, without the one that is held.
+
+        Else the track would coast, or be judged by the limits of the other sensors alone.
+        """
+        return state.streams[sensor].supports(stamp_ns, 0.0)
+
     def of(
         self, state: NavigatorState, measurement: Measurement, methods: Methods
     ) -> Callable[[], None] | None:
@@ -131,16 +138,18 @@ class Held:
         """Return the held frame if it is registered, and hold it no more."""
         return self._release() if self._held is not None and self._held[1].done() else None
 
-    def due_before(self, arrived: Arrived) -> Arrived | None:
+    def due_before(self, arrived: Arrived, may_pass: Callable[[Arrived, str], bool]) -> Arrived | None:
         """Return the held frame, registered, if a frame must come after it, and hold it no more.
 
-        Frames of its sensor must, and those so new that it would be too old after them.
+        Frames of its sensor must, those so new that it would be too old after them, and those that may not
+        pass a frame of this sensor, by its name, for another reason.
         """
         if self._held is None:
             return None
         held, future = self._held
         is_near = arrived.stamp_ns - held.stamp_ns < self._max_delay_ns
-        return None if is_near and arrived.sensor != held.sensor and not future.done() else self._release()
+        passes = arrived.sensor != held.sensor and is_near and not future.done()
+        return None if passes and may_pass(arrived, held.sensor) else self._release()
 
     def rest(self) -> Arrived | None:
         """Return the held frame, registered, and hold it no more; None if none is held."""

@@ -145,7 +145,7 @@ class _Service:
 
     def take(self, arrived: Arrived) -> None:
         """Process a frame, or begin to register it while frames of other sensors are processed."""
-        if (due := self._held.due_before(arrived)) is not None:
+        if (due := self._held.due_before(arrived, self._estimator.may_pass)) is not None:
             self._process(due)
         if self._in_lockstep or not self._held.is_free:
             self.take_now(arrived)

@@ -245,6 +245,13 @@ class Estimator:
             return None
         return self._ahead.of(self._state, measurement, self._methods[arrived.sensor])
 
+    def may_pass(self, arrived: Arrived, sensor: str) -> bool:
+        """Return whether a frame may be processed before a sensor's earlier one that is registered ahead.
+
+        The track must not coast, and its limits must not change, for want of that frame.
+        """
+        return self._ahead.may_pass(self._state, sensor, arrived.stamp_ns)
+
     def process(self, arrived: Arrived) -> Output:
         """Process a frame and return the result."""
         output, moved_s = self._processed(arrived), arrived.clock_moved_s

@@ -92,6 +92,10 @@ def test_frames_are_not_registered_ahead_without_a_track_of_their_sensor_that_sc
     assert ahead.of(desk.state, too_old, methods["lidar"]) is None
 
 
+def always(*_: object) -> bool:
+    return True
+
+
 def arrived(sensor: str, time_s: float) -> Arrived:
     return Arrived(sensor, round(time_s * SECOND_NS), 0.0, None)
 
@@ -102,12 +106,23 @@ def test_images_pass_a_scan_until_it_is_registered():
         held.hold(first := arrived("lidar", 10.0), lambda: may_end.wait(WAIT_S))
         assert not held.is_free
         assert held.due() is None
-        assert held.due_before(arrived("pmd", 10.9)) is None
+        assert held.due_before(arrived("pmd", 10.9), always) is None
         may_end.set()
         assert woken.wait(WAIT_S)
-        assert held.due_before(arrived("pmd", 10.9)) is first
+        assert held.due_before(arrived("pmd", 10.9), always) is first
         assert held.is_free
         assert held.due() is None
+
+
+def test_no_image_passes_a_scan_where_the_scans_before_it_support_the_track_no_more():
+    desk = tracking_by_lidar()  # a scan a second
+    ahead, _ = ahead_of(desk)
+    at_ns = {late_s: round((START_S + 3.0 + late_s) * SECOND_NS) for late_s in (1.4, 1.6)}
+    assert ahead.may_pass(desk.state, "lidar", at_ns[1.4])
+    assert not ahead.may_pass(desk.state, "lidar", at_ns[1.6])
+    with Held(9.0, lambda: None) as held:
+        held.hold(first := arrived("lidar", 10.0), lambda: None)
+        assert held.due_before(arrived("pmd", 10.1), lambda *_: False) is first
 
 
 @pytest.mark.parametrize("later", [arrived("lidar", 10.5), arrived("pmd", 11.0)])
@@ -115,7 +130,7 @@ def test_the_next_scan_and_an_image_after_which_it_would_be_too_old_wait_for_a_s
     done = []
     with Held(1.0, lambda: None) as held:
         held.hold(first := arrived("lidar", 10.0), lambda: done.append(Event().wait(0.01)))
-        assert held.due_before(later) is first
+        assert held.due_before(later, always) is first
         assert len(done) == 1
         assert held.rest() is None
 
