@@ -17,7 +17,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
-from rpod_pose.navigation.dynamics.slewing import doubts
+from rpod_pose.navigation.dynamics.slewing import Turning, doubts
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
@@ -75,7 +75,8 @@ def evidence_of(state: FilterState) -> dict[str, float]:
     if (factors := state.factors) != CALM:
         found["acceleration_factor"] = factors.acceleration
         found["angular_acceleration_factor"] = factors.angular
-    imu = state.model.chaser if isinstance(state.model, FreeMotion) else None
+    model = state.model.measured if isinstance(state.model, Turning) else state.model
+    imu = model.chaser if isinstance(model, FreeMotion) else None
     imu = imu.turning if isinstance(imu, Commanded) else imu
     for block in state.blocks:
         if block.name in STATES:

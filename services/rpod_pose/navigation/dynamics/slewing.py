@@ -11,7 +11,8 @@ time (E. S. Page, Continuous inspection schemes, Biometrika 41, 1954). Beyond it
 turned, and the second filter is the track.
 
 Commanded accelerations (``command_track``) are an assumption of the same kind: thrusters may fail. So the
-second filter continues beside a track with commands too, with and without a gyro.
+second filter continues beside a track with commands too. With a gyro, the chaser's rotation is measured and no
+assumption, so that this filter keeps the gyro, and lacks the commands alone.
 
 A chaser that stops may be assumed to hold its attitude again. So the model with the held attitude begins anew
 beside the track, from the track's state and the priors of its further states, as often as poses contradict
@@ -28,7 +29,7 @@ from scipy.special import chdtrc
 
 from rpod_pose.navigation.dynamics.chaser import Held
 from rpod_pose.navigation.dynamics.command_track import Commanded
-from rpod_pose.navigation.dynamics.free_motion import STATES, FreeMotion
+from rpod_pose.navigation.dynamics.free_motion import FORCE_ERRORS, STATES, FreeMotion
 from rpod_pose.navigation.dynamics.steady import LEAST, log_density
 from rpod_pose.navigation.filter import (
     CALM,
@@ -59,8 +60,12 @@ CHASER_TURNS, COMMAND_DOUBTED = "chaser_turns", "command_doubted"
 commanded accelerations that poses contradict."""
 _TURNS = "the chaser turns without a known rate, so that no gap is bridged (set dynamics.imu)"
 _DOUBTED = (
-    "the chaser does not move as guidance/command says, so that no gap is bridged (check its thrusters, and "
-    "axes, sign and stamps of the commands{})"
+    "the chaser does not move as guidance/command says, so that {} (check its thrusters, and axes, sign and "
+    "stamps of the commands{})"
+)
+_NO_GAP, _BY_GYRO = (
+    "no gap is bridged",
+    "its acceleration is unknown and gaps are bridged for a short time only, with the gyro",
 )
 _OR_TURNS = "; if the chaser turns, set dynamics.imu"
 _REFUSALS = 3.0
@@ -72,18 +77,22 @@ by chance. Physics: a millionth of the frames, which is once in six hours at 45 
 class Turning:
     """Model of motion (``MotionModel``) while poses contradict what is assumed of the chaser.
 
-    Velocity and rate are constant as seen from the chaser, with the densities of the configuration.
+    Velocity and rate are constant as seen from the chaser, with the densities of the configuration. If a gyro
+    measures the chaser's rotation, they are those of a free target instead, and the density of the
+    accelerations alone is that of the configuration.
     """
 
     held: FreeMotion
     """The model that assumes a held attitude, or commands that are executed."""
     blocks: tuple[Block, ...]
-    """Its further states before any measurement."""
+    """Its further states that are left out here, before any measurement."""
+    measured: FreeMotion | None = None
+    """The model with what is measured of the chaser, its rotation; None if nothing is."""
 
     @property
     def states_noise(self) -> tuple[bool, bool]:
-        """Whether it states the noise itself: it does not."""
-        return False, False
+        """Whether it states the noise itself: at most that of angular accelerations."""
+        return (False, False) if self.measured is None else self.measured.states_noise
 
     def __call__(self, state: FilterState, step_s: float, config: FilterConfig) -> Motion:
         """Return the motion of a state in a step.
@@ -94,6 +103,8 @@ class Turning:
         least = FilterConfig().acceleration_density_m2_s3
         if config.acceleration_density_m2_s3 < least:
             config = config.model_copy(update={"acceleration_density_m2_s3": least})
+        if self.measured is not None:
+            return self.measured(state, step_s, config)
         motion = constant_twist(state, step_s, config)
         by = np.vstack([cross_matrix(motion.state.T_chaser_target.translation), -np.eye(3)])
         density = config.angular_acceleration_density_rad2_s3 * by @ by.T
@@ -122,7 +133,7 @@ def doubts(state: FilterState) -> tuple[str, ...]:
 def told(doubted: Collection[str]) -> str:
     """Return what an operator is told about the doubts of a track; empty for none."""
     if COMMAND_DOUBTED in doubted:
-        return _DOUBTED.format(_OR_TURNS if CHASER_TURNS in doubted else "")
+        return _DOUBTED.format(*((_NO_GAP, _OR_TURNS) if CHASER_TURNS in doubted else (_BY_GYRO, "")))
     return _TURNS if doubted else ""
 
 
@@ -181,10 +192,20 @@ def _beside(state: FilterState) -> Other | None:
         return None
     if not isinstance(model.chaser, Held | Commanded):  # all that is assumed of the chaser is measured
         return None
-    own = tuple(block for block in state.blocks if block.name in STATES)
+    measured = _measured(model)
+    left_out = STATES if measured is None else frozenset(FORCE_ERRORS)
+    own = tuple(block for block in state.blocks if block.name in left_out)
     for block in own:
         state = state.without(block.name)
-    return Other(replace(state, model=Turning(model, unknown(own))), state.stamp_ns)
+    return Other(replace(state, model=Turning(model, unknown(own), measured)), state.stamp_ns)
+
+
+def _measured(model: FreeMotion) -> FreeMotion | None:
+    """Return the model without the commands, if the chaser's rotation is measured; otherwise None."""
+    chaser = model.chaser
+    if not isinstance(chaser, Commanded) or isinstance(chaser.turning, Held):
+        return None
+    return replace(model, chaser=chaser.turning, uses_force=False, acceleration_density_m2_s3=None)
 
 
 def _of_track(before: FilterState, met: Met) -> float:
