@@ -26,6 +26,7 @@ from rpod_pose.navigation.state import Output
 from rpod_pose.ports import Methods
 from rpod_runtime import Node
 from rpod_runtime.process.notify import manager
+from rpod_runtime.process.standing import StandWatch
 from rpod_runtime.requests.sole import Sole
 from rpod_runtime.ros import RESET_SERVICE
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -72,9 +73,10 @@ def _serve(
     version: str,
     stop: Event,
 ) -> None:
-    with Node(config, version=version, stop=stop, sole=Sole((STATUS.under(config.prefix),))) as node:
+    sole = Sole((STATUS.under(config.prefix),))
+    with Node(config, version=version, stop=stop, sole=sole) as node, StandWatch() as stands:
         node.target_digest, node.target_content = target.digest, target.content_digest
-        subscriptions, outputs = Subscriptions(node, config), Outputs(node, config.prefix, target)
+        subscriptions, outputs = Subscriptions(node, config, stands), Outputs(node, config.prefix, target)
         readings = (
             ImuInput(node, config, estimator.imu),
             CommandInput(node, config, estimator.commands),

@@ -21,6 +21,13 @@ from rpod_schemas.errors import MessageRejectedError, Reason
 
 log = logging.getLogger(__name__)
 
+OVERTAKEN = (
+    "its frames arrive out of order ({} so far): the stamp of a frame fits between those of two before it, "
+    "so that its clock is right; let its driver publish in the order of the stamps, and look at links over "
+    "several ways"
+)
+"""Text for the operator about frames that arrive after newer ones, with their number."""
+
 
 class ClockStepError(MessageRejectedError):
     """A frame whose clock was set since the frames before."""
@@ -47,7 +54,7 @@ class SensorClock:
             LateWatch(config.filter.max_delay_s),
             StepWatch(self._sigma_s, self._within_s),
         )
-        self._corrected_s = 0.0
+        self._corrected_s, self._overtaken = 0.0, 0
 
     def note_arrival(self, leading: Received, stamp_ns: int) -> None:
         """Compare the stamp of a frame's leading part with its sending and arrival."""
@@ -70,6 +77,10 @@ class SensorClock:
     def check_step(self, leading: Received, stamp_ns: int) -> None:
         """Check that the clock was not set since the previous frames. Raises ``ClockStepError``."""
         step = self._steps.add(stamp_ns, leading.arrival_ns, arrival_s=leading.arrival_s, source=leading.peer)
+        if self._steps.overtaken != self._overtaken:
+            self._overtaken = self._steps.overtaken
+            self._health.put(f"overtaken/{self._name}", self._overtaken)
+            self._book.tell(leading.arrival_s, OVERTAKEN.format(self._overtaken))
         if self._steps.ended:
             log.warning("%s: %s", self._name, self._steps.ended)
         self._corrected_s = self._steps.corrected_s or self._corrected_s

@@ -26,6 +26,7 @@ from rpod_runtime.delivery.holders import Holders, Peer, SecondPublisherError
 from rpod_runtime.delivery.kept import KeptMessages
 from rpod_runtime.errors import RefusedError
 from rpod_runtime.frames import PartRejectedError
+from rpod_runtime.process.standing import Stand, StandWatch
 from rpod_runtime.sensor_data.extrinsics import in_words
 from rpod_runtime.sensor_data.stamp_watch import clock_hint
 from rpod_schemas.config.estimator import EstimatorConfig
@@ -55,8 +56,9 @@ class FrameRefusedError(MessageRejectedError):
 class Subscriptions:
     """Receives all messages of the estimator and hands out frames."""
 
-    def __init__(self, node: Node, config: EstimatorConfig) -> None:
-        self._node, self._config = node, config
+    def __init__(self, node: Node, config: EstimatorConfig, stands: StandWatch | None = None) -> None:
+        self._node, self._config, self._stands = node, config, stands
+        self._told_stand: Stand | None = None
         self._in_lockstep = config.in_lockstep
         self._latched, self._waiting = Inbox(), Inbox(_WAITING_PARTS)
         self._reader = FrameReader(config.sensors)
@@ -225,7 +227,7 @@ class Subscriptions:
         assembler = self._reader.assemblers[sensor]
         stamp_ns = self._reader.stamp_ns(sensor, received)
         leads = part == self._reader.leading[sensor]
-        if leads and not self._in_lockstep:
+        if leads and not self._in_lockstep and self._stand(received, stamp_ns) is None:
             self._clocks[sensor].note_arrival(received, stamp_ns)
         try:
             self._check_part(sensor, part, received, stamp_ns)
@@ -259,7 +261,8 @@ class Subscriptions:
         assembler = self._reader.assemblers[sensor]
         if part not in assembler.lasting:
             self._check_freshness(sensor, received, stamp_ns)
-        if part == self._reader.leading[sensor] and not self._in_lockstep:
+        leads = part == self._reader.leading[sensor]
+        if leads and not self._in_lockstep and self._stand(received, stamp_ns) is None:
             self._check_step(sensor, received, stamp_ns)
         if stamp_ns == assembler.done_ns and part in assembler.required:
             raise MessageRejectedError(
@@ -301,7 +304,9 @@ class Subscriptions:
             now_ns = clock.now_ns()
         age_s = (now_ns - stamp_ns) / NANOSECONDS
         if age_s > (max_delay_s := self._config.filter.max_delay_s):
+            stand = self._stand(received, stamp_ns)
             why = self._clocks[sensor].why_late() or clock_hint(-age_s, stamp_ns)
+            why = why if stand is None else stand.text
             raise MessageRejectedError(
                 Reason.LATE, f"{age_s:.3f} s old, filter.max_delay_s is {max_delay_s:g}; {why}"
             )
@@ -311,6 +316,19 @@ class Subscriptions:
                 f"{-age_s:.3f} s ahead of {self._config.time_source} time, max_future_s is "
                 f"{self._config.max_future_s:g}; {clock_hint(-age_s, stamp_ns)}",
             )
+
+    def _stand(self, received: Received, stamp_ns: int) -> Stand | None:
+        """Return the time in which this process stood still while a message waited for it; None for none.
+
+        The arrival of such a message tells nothing about the sensor's clock, or its link.
+        """
+        stand = None if self._stands is None or self._in_lockstep else self._stands.look()
+        if stand is None or not stand.holds_up(stamp_ns, received.arrival_s):
+            return None
+        if stand != self._told_stand:
+            self._told_stand = stand
+            log.warning("%s", stand.text)
+        return stand
 
     def _check_step(self, sensor: str, received: Received, stamp_ns: int) -> None:
         """Check that the sensor's clock was not set since the previous frames, if its publisher is used."""
@@ -351,7 +369,7 @@ class Subscriptions:
                     self._holders.hold(part.topic.name, part.peer, now_s)
             if arrived.measurement is not None:
                 self._log_mount(sensor, arrived.measurement)
-                if not self._in_lockstep:
+                if not self._in_lockstep and self._stand(leading, frame.stamp_ns) is None:
                     last = self._reader.last(sensor, arrived.measurement.data)
                     self._clocks[sensor].note_end(last, leading, frame.stamp_ns)
         except SecondPublisherError as error:

@@ -116,6 +116,8 @@ class StepWatch:
     """How the last suspicion ended, for the operator; set only at the frame with which it ended."""
     corrected_s: float = 0.0
     """Change of the stamps against the arrivals, s, that is believed since this frame; 0 at any other one."""
+    overtaken: int = 0
+    """Number of frames that arrived after newer ones."""
     _source: object = None
     _frames: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_MOST))
     _held: deque[_Frame] = field(default_factory=lambda: deque(maxlen=_LEAST))
@@ -144,6 +146,8 @@ class StepWatch:
         self._source, self.ended, self.corrected_s = source, "", 0.0
         if len(self._frames) < _LEAST:
             self._frames.append(frame)
+            return None
+        if not self._held and self._was_overtaken(frame):
             return None
         step = self._step(frame)
         if step is None:
@@ -178,6 +182,23 @@ class StepWatch:
         if not self._held and not self._was_set(frame, off_s, ages_s - usual_s, limit_s):
             return None
         return Step(-off_s, limit_s, frame.age_s)
+
+    def _was_overtaken(self, frame: _Frame) -> bool:
+        """Return whether a frame only arrived after newer ones: it fills a gap between their stamps.
+
+        The frames of a clock that was set back go on from their new stamps, and fill no gap.
+        """
+        stamps = [each.stamp_ns for each in self._frames]
+        later = [each for each in stamps[-_RECENT:] if each > frame.stamp_ns]
+        earlier = [each for each in stamps if each <= frame.stamp_ns]
+        pace = self._pace()
+        if not later or not earlier or pace is None:
+            return False
+        gaps_s = (min(later) - frame.stamp_ns) / NANOSECONDS, (frame.stamp_ns - max(earlier)) / NANOSECONDS
+        if not all(gap_s >= pace.period_s - pace.stamp_s for gap_s in gaps_s):
+            return False
+        self.overtaken += 1
+        return True
 
     def _was_set(self, frame: _Frame, off_s: float, before_s: FloatArray, limit_s: float) -> bool:
         """Return whether the clock was set, for a frame whose age is off.

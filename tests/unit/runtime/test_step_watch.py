@@ -201,3 +201,22 @@ def test_a_frame_that_is_sent_again_tells_nothing_of_the_clock():
         assert not add(one, 0.1 * n, 0.1 * n + 0.005)
         assert not add(one, 0.1 * n, 0.1 * n + 0.055)
     assert add(one, 4.0 - 0.43, 4.005)
+
+
+def test_frames_out_of_order_are_no_clock_that_was_set():
+    """Each tenth frame is overtaken by the next one."""
+    one, numbers = watch(), np.arange(200)
+    late_s = np.where((numbers % 10 == 0) & (numbers >= 40), 0.105, 0.0)
+    arrivals_s = 0.1 * numbers + 0.01 + late_s
+    for number in np.argsort(arrivals_s):
+        assert add(one, 0.1 * number, arrivals_s[number]) is None
+    assert one.overtaken == 16
+
+
+def test_a_clock_that_is_set_back_into_a_gap_is_seen_with_the_second_frame():
+    one = watch()
+    numbers = [number for number in range(60) if number != 50]
+    assert all(add(one, 0.1 * number, 0.1 * number + 0.01) is None for number in numbers)
+    told = [add(one, 0.1 * number - 1.0, 0.1 * number + 0.01) for number in range(60, 65)]
+    assert told[0] is None
+    assert all(each is not None for each in told[1:])
