@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from rpod_estimator.inputs.beside import ImagesBeside
 from rpod_estimator.inputs.repeated_lines import RepeatedLines
 from rpod_estimator.setup_check import Setup, SetupCheck
 from rpod_pose.measurement import Measurement
@@ -107,6 +108,8 @@ class _Sensor:
     """Number of successive frames with this content, after the first one."""
     lines: RepeatedLines = field(default_factory=RepeatedLines)
     """Lines of its last frames."""
+    beside: ImagesBeside = field(default_factory=ImagesBeside)
+    """Where its amplitude lies beside its depth."""
 
 
 class FrameReader:
@@ -285,7 +288,8 @@ class FrameReader:
                 measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
             lens = measurement.data.lens
             oblong = "" if lens is None else _oblong(lens)
-            told = (again, _negative(measurement.data), defect, oblong, reader.inconsistency)
+            beside = self._sensors[sensor].beside.found(measurement.data)
+            told = (again, beside, _negative(measurement.data), defect, oblong, reader.inconsistency)
             defect = "; ".join(filter(None, told))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=reader.hint)
         else:

@@ -164,7 +164,7 @@ def test_commands_that_are_not_executed_are_doubted_and_told(monkeypatch):
 
 
 def test_a_gyro_stays_in_use_while_commands_are_doubted(monkeypatch):
-    """The valves of a slewing chaser stay shut. Without its gyro the attitude is 4 to 8 deg off after 10 s."""
+    """The valves of a slewing chaser stay shut; without its gyro it would be 4 to 8 deg off after 10 s."""
     monkeypatch.setattr(Thrusters, "command", lambda _, __, time_s: command(time_s, ALONG))
     dynamics = {"target": "torque_free", "imu": {}, "command": {}}
     course = replace(
@@ -183,11 +183,11 @@ def test_a_gyro_stays_in_use_while_commands_are_doubted(monkeypatch):
 def test_commands_that_are_right_again_are_used_again(monkeypatch):
     """The valves open after 40 s; a minute later the commands are believed."""
     right = Thrusters.command
-    monkeypatch.setattr(
-        Thrusters,
-        "command",
-        lambda self, stamp_ns, time_s: right(self, stamp_ns, time_s) if time_s > 40.0 else command(time_s, ALONG),
-    )
+
+    def told(self, stamp_ns, time_s):
+        return right(self, stamp_ns, time_s) if time_s > 40.0 else command(time_s)
+
+    monkeypatch.setattr(Thrusters, "command", told)
     course = replace(
         THRUST, thrusts=False, approach_m=0.3, tracked_s=125.0, gap_s=0.0, imu=ImuNoiseConfig(),
         dynamics={"target": "torque_free", "imu": {}, "command": {}},
