@@ -21,8 +21,11 @@ _LOOK_S, _CALM_S = 1.0, 10.0
 """Time until the next image is compared, s, after one with a shift and after one without: one takes 7 to 20
 ms, and how images are cut changes with the driver's mode only."""
 _AGREEING = 4
-"""Number of images in succession with the same shift within a pixel. A shift by chance is alike in one of 70
-images; four in succession are so in one of 300,000."""
+"""Number of images with the same shift within a pixel, without one that differs between them. Of all shifts,
+one of 70 is alike by chance."""
+_SURE = 3.0
+"""Standard deviations by which the images must be more alike at a shift than at none, by Fisher's z of their
+correlation: a scene at rest shows the same shift by chance in each image."""
 
 
 class ImagesBeside:
@@ -45,12 +48,14 @@ class ImagesBeside:
         across, down = np.median(self._shifts, axis=0)
         return (
             f"its amplitude lies {across:+.0f} px (columns) and {down:+.0f} px (rows) beside its depth, in "
-            f"{len(self._shifts)} images in succession; let its driver cut and scale both images alike, and "
+            f"{len(self._shifts)} compared images; let its driver cut and scale both images alike, and "
             "send both of one exposure"
         )
 
     def _take(self, shift: tuple[int, int] | None) -> None:
-        if shift is None or max(map(abs, shift)) < _LEAST_PX:
+        if shift is None:
+            return
+        if max(map(abs, shift)) < _LEAST_PX:
             self._shifts = []
         elif self._shifts and np.abs(np.subtract(shift, self._shifts[-1])).max() > 1:
             self._shifts = [shift]
@@ -61,7 +66,8 @@ class ImagesBeside:
 def shift_px(depth_m: Float32Array, amplitude: NDArray[np.generic]) -> tuple[int, int] | None:
     """Return by how many columns and rows an amplitude image is shifted against its depth.
 
-    None if an image shows no edge, or if the depth fills it.
+    None if the images do not tell it: one shows no edge, the depth fills it, or they are not surely more alike
+    at the shift than at none.
 
     Args:
         depth_m: depth, shape (height, width); NaN or 0 where a pixel has none.
@@ -85,8 +91,13 @@ def shift_px(depth_m: Float32Array, amplitude: NDArray[np.generic]) -> tuple[int
     if not looked_for.any() or not lines.any():
         return None
     alike = cv2.matchTemplate(lines, looked_for, cv2.TM_CCOEFF_NORMED)
-    down, across = np.unravel_index(int(np.nan_to_num(alike).argmax()), alike.shape)
-    return int(across) - _MOST_PX, int(down) - _MOST_PX
+    alike = np.nan_to_num(alike).clip(-0.999, 0.999)
+    down, across = np.unravel_index(int(alike.argmax()), alike.shape)
+    independent = np.count_nonzero(looked_for > 0.5 * looked_for.max()) / (4.0 * np.pi * _BLUR_PX**2)
+    gain = np.arctanh(alike[down, across]) - np.arctanh(alike[_MOST_PX, _MOST_PX])
+    shift = int(across) - _MOST_PX, int(down) - _MOST_PX
+    is_sure = gain * np.sqrt(max(independent - 3.0, 0.0) / 2.0) > _SURE
+    return shift if is_sure or max(map(abs, shift)) < _LEAST_PX else None
 
 
 def _edges(image: Float32Array) -> Float32Array:
