@@ -93,6 +93,7 @@ class Estimator:
         self.bodies = self._known_bodies()
         """Known bodies beside the target, whose poses a receiver adds; None for none."""
         self._log_unreliable_parts()
+        self._log_camera_errors()
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
         if self._dynamics.assumption:
@@ -183,6 +184,22 @@ class Estimator:
             if kind_methods(sensor).masked is None:
                 text = "%s: unreliable parts are not ignored: sensors of kind %s cannot remove their points"
                 log.warning(text, sensor.name, sensor.kind)
+
+    def _log_camera_errors(self) -> None:
+        """Say that nobody has measured how far the target's edges err, where the covariance depends on it."""
+        if self._target.camera_errors is not None or self._config.filter.errors != "considered":
+            return
+        trackers: dict[str, Any] = {
+            name: getattr(sensor, "tracking", None) for name, sensor in self._sensors.items()
+        }
+        names = [name for name, tracking in trackers.items() if getattr(tracking, "kind", "") == "joint"]
+        if names:
+            log.info(
+                "%s: errors of the target's edges were not measured, the covariance may be too small: "
+                "'rpod target errors %s' measures them",
+                ", ".join(names),
+                self._target.source,
+            )
 
     @property
     def imu(self) -> ImuTrack | None:

@@ -100,7 +100,8 @@ def _bare(parameters: TargetParameters) -> TargetParameters:
         )
         for part in parameters.parts
     )
-    others = {"symmetries": (), "frames": {}, "joints": {}, "tolerance_m": 0.0, "scale_tolerance": 0.0}
+    others: dict[str, Any] = {"symmetries": (), "frames": {}, "joints": {}, "camera_errors": None}
+    others |= {"tolerance_m": 0.0, "scale_tolerance": 0.0}
     return parameters.model_copy(update={"parts": parts, **others})
 
 
@@ -324,6 +325,7 @@ def _assemble(parameters: TargetParameters, arrays: dict[str, Array], *, source:
         reliable=None,
         tolerance_m=parameters.tolerance_m,
         scale_tolerance=parameters.scale_tolerance,
+        camera_errors=None if parameters.camera_errors is None else parameters.camera_errors.factor,
         joints=(),
         fixed=None,
         **arrays,

@@ -251,6 +251,19 @@ FrameName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 """Name of a frame: part of a topic of ROS 2, which has no hyphens."""
 
 
+class CameraErrorsParameters(Config):
+    """How far a target's edges in a camera's images err, over what a frame states of itself."""
+
+    factor: Annotated[float, Field(ge=1, le=16)]
+    """Variance of the errors of edges over the stated one."""
+    interval: tuple[Positive, Positive] | None = None
+    """Its 90 % interval."""
+    frames: Annotated[int, Field(ge=1)] | None = None
+    """Number of emulated frames that it follows from."""
+    seed: int | None = None
+    """Seed of these frames."""
+
+
 class TargetParameters(Config):
     """A target's parameter file."""
 
@@ -291,6 +304,8 @@ class TargetParameters(Config):
     covariances contain it."""
     scale_tolerance: Share = 0.0
     """Share by which the real target may be larger or smaller as a whole, one standard deviation."""
+    camera_errors: CameraErrorsParameters | None = None
+    """How far its edges in a camera's images err, as ``rpod target errors`` measured it."""
     joints: dict[FrameName, JointParameters] = Field(default_factory=dict)
     """Joints by name, each named by the parts that turn about it. The estimator finds their angles."""
 
@@ -335,6 +350,7 @@ class TargetParameters(Config):
             "frames": {},
             "tolerance_m": 0.0,
             "scale_tolerance": 0.0,
+            "camera_errors": None,
             "joints": {},
         }
         return _kept(handler(self), added)

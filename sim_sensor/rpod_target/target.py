@@ -147,6 +147,9 @@ class Target:
     part have the same offset."""
     scale_tolerance: float = 0.0
     """Share by which it may be too large or too small as a whole, one standard deviation."""
+    camera_errors: float | None = None
+    """Variance of the errors of its edges in a camera's images over what a frame states; None if it was not
+    measured."""
     joints: tuple[Joint, ...] = ()
     """Joints that its file declares; ``posed`` returns the target at given angles of them."""
     fixed: "Target | None" = None

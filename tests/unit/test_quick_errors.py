@@ -22,7 +22,7 @@ print(done.exit_code, slow, done.output)
 """
 
 
-@pytest.mark.parametrize("verb", ["new", "check"])
+@pytest.mark.parametrize("verb", ["new", "check", "errors"])
 def test_a_file_that_is_not_there_is_told_before_anything_slow_is_imported(verb, tmp_path):
     file = tmp_path / "missing.stl"
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The verbs about targets: new and check."""
+"""The verbs about targets: new, check and errors."""
 
 import errno
 import os
@@ -137,3 +137,27 @@ def check(
             as_json=as_json,
         )
     )
+
+
+@target_verbs.command()
+def errors(
+    file: Annotated[Path, typer.Argument(help="Parameter file or name of a target.")],
+    frames: Annotated[
+        int, typer.Option("--frames", help="Emulated frames; more of them narrow the interval.", min=20)
+    ] = 120,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the frames.", min=0)] = 1,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write the result into the parameter file, as camera_errors.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+) -> None:
+    """Measure how far a target's edges err in a camera's images, over what a frame states.
+
+    The factor follows from emulated frames, in which each part has another brightness. It takes half a minute
+    to some minutes.
+    """
+    if file.suffix or len(file.parts) > 1:  # no name
+        _needs(file, "errors")
+    from rpod.target.errors_command import errors_command
+
+    raise typer.Exit(errors_command(file, frames=frames, seed=seed, write=write, as_json=as_json))

@@ -368,6 +368,7 @@ class JointTracker:
             bias_m=self._depth_errors.bias_m,
             radius_px=seen.radius_px(self._target.radius_m),
             wider=max(1.0, seen.fills(self._target.radius_m)),
+            of_body=self._target.camera_errors or 1.0,
         )
 
     def _edges_in_place(self, seen: JointFrame, aligned: Aligned) -> float:

@@ -131,6 +131,7 @@ def uncertainty(
     bias_m: float,
     radius_px: float,
     wider: float,
+    of_body: float = 1.0,
 ) -> Uncertainty:
     """Return the uncertainty of an aligned pose.
 
@@ -156,6 +157,7 @@ def uncertainty(
         wider: factor on all covariances, above 1 if the target is larger than the image. An image whose width
             is 1/n of the target shows only 1/n of its lines, so that errors that the residuals of a line
             share average out less.
+        of_body: factor on the covariance of the edges' errors, which the target's file gives.
     """
     fit, beside = aligned.fit, aligned.spread
     white, uneven, of_image = (information_of(part, UNKNOWNS) for part in fit.evidence.parts)
@@ -165,7 +167,7 @@ def uncertainty(
     of_some = alone[:, :6] @ fit.evidence.beside
     of_all = COMMON_PX * (alone[:, :6] @ fit.evidence.every)
     shifts = np.outer(of_some, of_some) + np.outer(of_all, of_all)
-    of_groups = shared_errors(groups, alone, samples=alone @ of_image @ alone)
+    of_groups = of_body * shared_errors(groups, alone, samples=alone @ of_image @ alone)
     follows = 1.0 - float(alone[-1, -1]) * bias_m**-2
     others = alone @ (white + uneven) @ alone + of_groups + shifts + whole - alone
     to_sensor = np.kron(np.eye(2), fit.state.pose.R)
