@@ -151,10 +151,10 @@ def errors(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
 ) -> None:
-    """Measure how far a target's edges err in a camera's images, over what a frame states.
+    """Measure errors of a target's edges in images.
 
-    The factor follows from emulated frames, in which each part has another brightness. It takes half a minute
-    to some minutes.
+    The factor on the variance that a frame states follows from emulated frames, in which each part has
+    another brightness. It takes half a minute to some minutes.
     """
     if file.suffix or len(file.parts) > 1:  # no name
         _needs(file, "errors")
