@@ -66,8 +66,8 @@ class ImagesBeside:
 def shift_px(depth_m: Float32Array, amplitude: NDArray[np.generic]) -> tuple[int, int] | None:
     """Return by how many columns and rows an amplitude image is shifted against its depth.
 
-    None if the images do not tell it: one shows no edge, the depth fills it, or they are not surely more alike
-    at the shift than at none.
+    None if the images do not tell it: one shows no edge, the depth fills it, or they are not surely more
+    alike at the shift than at none.
 
     Args:
         depth_m: depth, shape (height, width); NaN or 0 where a pixel has none.

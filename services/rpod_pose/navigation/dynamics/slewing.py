@@ -11,8 +11,8 @@ time (E. S. Page, Continuous inspection schemes, Biometrika 41, 1954). Beyond it
 turned, and the second filter is the track.
 
 Commanded accelerations (``command_track``) are an assumption of the same kind: thrusters may fail. So the
-second filter continues beside a track with commands too. With a gyro, the chaser's rotation is measured and no
-assumption, so that this filter keeps the gyro, and lacks the commands alone.
+second filter continues beside a track with commands too. With a gyro, the chaser's rotation is measured and
+no assumption, so that this filter keeps the gyro, and lacks the commands alone.
 
 A chaser that stops may be assumed to hold its attitude again. So the model with the held attitude begins anew
 beside the track, from the track's state and the priors of its further states, as often as poses contradict
