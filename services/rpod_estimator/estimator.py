@@ -15,6 +15,7 @@ from rpod_estimator.ahead import Ahead
 from rpod_estimator.frame_hint import described
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.live_searches import LiveSearches
+from rpod_estimator.target_notes import tell_of_target
 from rpod_pose.measurement import Measurement, Tick
 from rpod_pose.methods import kind_methods, ready_methods
 from rpod_pose.navigation.dynamics.command_track import CommandTrack
@@ -43,7 +44,6 @@ from rpod_schemas.messages import NANOSECONDS
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import EstimatorStatus, Integrity, Mode
 from rpod_target import Target
-from rpod_target.mesh.topology import areas_m2
 
 log = logging.getLogger(__name__)
 
@@ -92,8 +92,7 @@ class Estimator:
         self._ahead = Ahead(config)
         self.bodies = self._known_bodies()
         """Known bodies beside the target, whose poses a receiver adds; None for none."""
-        self._log_unreliable_parts()
-        self._log_camera_errors()
+        tell_of_target(config, target)
         self.learn({})
         self._dynamics = Dynamics.of(config.dynamics, target)
         if self._dynamics.assumption:
@@ -167,39 +166,6 @@ class Estimator:
             raise ConfigurationError(path, sensor.name, str(error)) from error
         if known is not None:
             self._known[sensor.name] = known
-
-    def _log_unreliable_parts(self) -> None:
-        reliable = self._target.reliable
-        if reliable is None:
-            return
-        parts = [name for name in self._target.parts if name not in reliable.parts]
-        area_m2, left_m2 = (areas_m2(target.triangles_m).sum() for target in (self._target, reliable))
-        log.warning(
-            "unreliable parts are ignored: %s, %.0f %% of the surface; to use them, change %s",
-            ", ".join(parts),
-            100.0 * (1.0 - left_m2 / area_m2),
-            self._target.source,
-        )
-        for sensor in self._sensors.values():
-            if kind_methods(sensor).masked is None:
-                text = "%s: unreliable parts are not ignored: sensors of kind %s cannot remove their points"
-                log.warning(text, sensor.name, sensor.kind)
-
-    def _log_camera_errors(self) -> None:
-        """Say that nobody has measured how far the target's edges err, where the covariance depends on it."""
-        if self._target.camera_errors is not None or self._config.filter.errors != "considered":
-            return
-        trackers: dict[str, Any] = {
-            name: getattr(sensor, "tracking", None) for name, sensor in self._sensors.items()
-        }
-        names = [name for name, tracking in trackers.items() if getattr(tracking, "kind", "") == "joint"]
-        if names:
-            log.info(
-                "%s: errors of the target's edges were not measured, the covariance may be too small: "
-                "'rpod target errors %s' measures them",
-                ", ".join(names),
-                self._target.source,
-            )
 
     @property
     def imu(self) -> ImuTrack | None:
