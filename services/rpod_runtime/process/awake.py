@@ -52,22 +52,22 @@ class AwakeClock:
         return self._awake.at(self._clock_s())
 
 
-class TickingClock(AwakeClock):
-    """An awake clock that a thread keeps going, for a process that waits in a call of others; a context."""
+class Ticking:
+    """A context in which a thread makes a call again and again.
 
-    def __init__(self, tick_s: float = 0.02) -> None:
-        super().__init__(5.0 * tick_s)
-        self._tick_s, self._over, self._lock = tick_s, Event(), Lock()
-        self._thread = Thread(target=self._tick, name="clock", daemon=True)
+    Args:
+        tick_s: time between two calls, s.
+        call: what is called; it is safe to call it from any thread.
+        name: name of the thread.
+    """
 
-    def now_s(self) -> float:
-        """Return the time in which this process was awake since the clock was made, s."""
-        with self._lock:
-            return super().now_s()
+    def __init__(self, tick_s: float, call: Callable[[], object], name: str) -> None:
+        self._tick_s, self._call, self._over = tick_s, call, Event()
+        self._thread = Thread(target=self._tick, name=name, daemon=True)
 
     def _tick(self) -> None:
         while not self._over.wait(self._tick_s):
-            self.now_s()
+            self._call()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -76,3 +76,17 @@ class TickingClock(AwakeClock):
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
+
+
+class TickingClock(Ticking, AwakeClock):
+    """An awake clock that a thread keeps going, for a process that waits in a call of others; a context."""
+
+    def __init__(self, tick_s: float = 0.02) -> None:
+        AwakeClock.__init__(self, 5.0 * tick_s)
+        self._lock = Lock()
+        Ticking.__init__(self, tick_s, self.now_s, "clock")
+
+    def now_s(self) -> float:
+        """Return the time in which this process was awake since the clock was made, s."""
+        with self._lock:
+            return super().now_s()

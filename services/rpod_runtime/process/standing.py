@@ -7,8 +7,10 @@ one in which nothing of this process ran.
 
 import time
 from collections.abc import Callable
-from threading import Event, Lock, Thread
-from typing import NamedTuple, Self
+from threading import Lock
+from typing import NamedTuple
+
+from rpod_runtime.process.awake import Ticking
 
 _TICK_S = 0.05
 """Time between two looks."""
@@ -48,7 +50,7 @@ def _boot_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-class StandWatch:
+class StandWatch(Ticking):
     """Looks for times in which this process did not run; a context, in which a thread looks.
 
     Args:
@@ -66,8 +68,8 @@ class StandWatch:
         self._clock_s, self._monotonic_s, self._utc_ns = clock_s, monotonic_s, utc_ns
         self._last_s, self._last_monotonic_s = clock_s(), monotonic_s()
         self._newest: Stand | None = None
-        self._over, self._lock = Event(), Lock()
-        self._thread = Thread(target=self._look_on, name="standing", daemon=True)
+        self._lock = Lock()
+        super().__init__(_TICK_S, self.look, "standing")
 
     def look(self) -> Stand | None:
         """Return the newest time in which this process stood still; None if it never did."""
@@ -78,15 +80,3 @@ class StandWatch:
                 self._newest = Stand(self._last_monotonic_s, monotonic_s, self._utc_ns(), length_s)
             self._last_s, self._last_monotonic_s = now_s, monotonic_s
             return self._newest
-
-    def _look_on(self) -> None:
-        while not self._over.wait(_TICK_S):
-            self.look()
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()

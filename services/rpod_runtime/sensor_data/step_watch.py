@@ -148,6 +148,7 @@ class StepWatch:
             self._frames.append(frame)
             return None
         if not self._held and self._was_overtaken(frame):
+            self.overtaken += 1
             return None
         step = self._step(frame)
         if step is None:
@@ -195,10 +196,7 @@ class StepWatch:
         if not later or not earlier or pace is None:
             return False
         gaps_s = (min(later) - frame.stamp_ns) / NANOSECONDS, (frame.stamp_ns - max(earlier)) / NANOSECONDS
-        if not all(gap_s >= pace.period_s - pace.stamp_s for gap_s in gaps_s):
-            return False
-        self.overtaken += 1
-        return True
+        return all(gap_s >= pace.period_s - pace.stamp_s for gap_s in gaps_s)
 
     def _was_set(self, frame: _Frame, off_s: float, before_s: FloatArray, limit_s: float) -> bool:
         """Return whether the clock was set, for a frame whose age is off.
