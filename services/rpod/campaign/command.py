@@ -51,7 +51,7 @@ def campaign_command(
         options: values of the command line, by name of the option; None for an option that is not given.
         jobs: number of processes; one for each core if None.
         out: folder of all campaigns.
-        as_json: print the cells as one JSON object only.
+        as_json: print the cells as one JSON object, and the progress only each minute.
         cluster: address of a Dask scheduler, or ``local:N``; None for processes of this machine.
     """
     try:
@@ -63,7 +63,7 @@ def campaign_command(
     except (ConfigurationError, CampaignError, OSError) as error:
         return failed("campaign", error)
     try:
-        with _every_signal_interrupts(), CampaignProgress(prepared, quiet=as_json) as progress:
+        with _every_signal_interrupts(), CampaignProgress(prepared, as_json=as_json) as progress:
             results = run_campaign(prepared, executor(progress.note), on_trial=progress.one)
         sections = [*models_section(prepared.cells), *prepared.campaign.sections(results)]
         machine = {**executor(progress.note).described(), "machine": platform.machine()}

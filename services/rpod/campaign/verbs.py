@@ -28,7 +28,13 @@ _EVERYWHERE = {
             help="Run the trials on the workers of a Dask scheduler, such as tcp://host:8786, or of local:N.",
         ),
     ],
-    "as_json": Annotated[bool, typer.Option("--json", help="Print the cells as one JSON object only.")],
+    "as_json": Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print the cells as one JSON object; the progress follows each minute on standard error.",
+        ),
+    ],
 }
 _DEFAULTS: dict[str, Any] = {"out": Path("campaigns"), "jobs": None, "cluster": None, "as_json": False}
 

@@ -60,12 +60,18 @@ class Prepared:
         return len(self.cells) * self.trials
 
     def tasks(self) -> Iterator[Task]:
-        """Yield the trials that remain to be run, cell by cell."""
-        done = set(self.done)
-        for index in range(len(self.cells)):
-            for number in range(self.trials):
-                if (index, number) not in done:
-                    yield Task(index, number)
+        """Yield the trials that remain to be run.
+
+        First comes one of each cell, so that their time is soon known; the others follow cell by cell.
+        """
+        done, trials = set(self.done), range(self.trials)
+        cells = [
+            [Task(cell, trial) for trial in trials if (cell, trial) not in done]
+            for cell in range(len(self.cells))
+        ]
+        for part in (slice(1), slice(1, None)):
+            for tasks in cells:
+                yield from tasks[part]
 
 
 def prepare(campaign: AnyCampaign, options: Options, *, out: Path, version: str) -> Prepared:

@@ -44,6 +44,11 @@ def test_every_cell_has_all_of_its_trials_in_their_order(whole):
         assert result.rows["trial"].to_list() == list(range(6))
 
 
+def test_one_trial_of_each_cell_is_run_before_the_others(tmp_path):
+    tasks = [tuple(task) for task in prepared(tmp_path, trials=3).tasks()]
+    assert tasks == [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1), (1, 2)]
+
+
 def test_a_complete_campaign_runs_nothing_again_and_more_trials_add_to_it(tmp_path, whole):
     run_campaign(prepared(tmp_path, trials=4), jobs=1)
     again = prepared(tmp_path, trials=4)
@@ -83,7 +88,7 @@ def test_a_trial_that_raises_is_told_as_what_it_is_with_its_seed_and_the_others_
     assert isinstance(caught.value.__cause__, ArithmeticError)
     assert "counting_campaign.py" in caught.value.trace
     assert not caught.value.expected
-    assert set(prepared(tmp_path, ranges=(1.0, 13.0), trials=3).done) == {(0, 0), (0, 1), (0, 2)}
+    assert set(prepared(tmp_path, ranges=(1.0, 13.0), trials=3).done) == {(0, 0)}
 
 
 def test_an_exception_that_cannot_be_pickled_is_no_want_of_memory(tmp_path):
@@ -103,7 +108,7 @@ def test_an_exception_that_cannot_be_pickled_is_no_want_of_memory(tmp_path):
 def test_a_process_that_ends_is_told_by_how_it_ended_and_the_others_are_kept(tmp_path, factor, says):
     with pytest.raises(WorkerDiedError, match=rf"{says} while it ran one of: counting, cell 1 .* trial 0"):
         run_campaign(prepared(tmp_path, ranges=(1.0, factor), trials=2), jobs=1)
-    assert set(prepared(tmp_path, ranges=(1.0, factor), trials=2).done) == {(0, 0), (0, 1)}
+    assert set(prepared(tmp_path, ranges=(1.0, factor), trials=2).done) == {(0, 0)}
 
 
 def test_what_a_killed_process_has_left_is_removed_and_what_is_being_written_is_not(tmp_path):
