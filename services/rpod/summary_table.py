@@ -80,7 +80,8 @@ def _unused_rows(summary: Summary) -> list[tuple[str, str]]:
     for sensor, frames in summary.inputs.items():
         for how, unused in frames.not_used.items():
             if unused.frames > _MANY * frames.used:
-                rows.append((f"{sensor}, {how}", f"{unused.frames} frames; the last one: {unused.last}"))
+                title = f"{sensor}, {how.replace('_', ' ')}"
+                rows.append((title, f"{unused.frames} frames; the last one: {unused.last}"))
     return rows
 
 

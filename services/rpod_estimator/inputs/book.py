@@ -27,9 +27,9 @@ USUAL_LIMITS = NavigatorTuning()
 """Limits by which a navigator begins and ends tracks if its configuration has none."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
 """Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
-UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
+UNPAIRED, REJECTED, SEARCHING, OUT_OF_RANGE = "unpaired", "rejected", "searching", "out_of_range"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
-came during a search that takes long, which is no error."""
+came during a search that takes long, or the target is out of the sensor's range, which are no errors."""
 Note = Literal["clock", "drift", "defect", "hint", "load", "instead"]
 """What a text about a sensor is: how its stamps and the arrival of its frames contradict each other; how its
 clock drifts, if more than is declared; the defect of its newest frame, which is used nevertheless; a fault in
@@ -46,7 +46,7 @@ class Loss(NamedTuple):
     """Why a frame was not used."""
 
     kind: str
-    """A ``Reason``, ``UNPAIRED``, ``REJECTED`` or ``SEARCHING``."""
+    """A ``Reason``, ``UNPAIRED``, ``REJECTED``, ``SEARCHING`` or ``OUT_OF_RANGE``."""
     text: str
     """Reason with its figures and the remedy."""
 
@@ -192,7 +192,11 @@ class SensorBook:
         if newest is not None and newest.kind in AT_ONCE:
             return InputState(Health.ERROR, f"{self.name}: {newest.text}")
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
-        frames = len(self._recent)
+        beyond = [loss for loss in losses if loss.kind == OUT_OF_RANGE]
+        if 2 * len(beyond) > len(self._recent):
+            return self._idle(beyond[-1])
+        losses = [loss for loss in losses if loss.kind != OUT_OF_RANGE]
+        frames = len(self._recent) - len(beyond)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
             return self._doubtful(now_s)
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
@@ -205,6 +209,12 @@ class SensorBook:
         load = self._overloaded(now_s) or (self._noted("load") if latest.kind == SEARCHING else "")
         text = _joined(latest.text, self._noted("clock", "drift", "defect"), hint, load, check)
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
+
+    def _idle(self, beyond: Loss) -> InputState:
+        """Return the health of a sensor that is out of range, of which only the clock is judged."""
+        clock = self._noted("clock", "drift")
+        text = _joined(f"{beyond.text}; its frames are not used meanwhile", clock)
+        return InputState(Health.WARN if clock else Health.OK, f"{self.name}: {text}")
 
     def _bus_silent_s(self, bus_s: float | None) -> float:
         """Return for how long the sensor is silent by the time of the bus, s; 0 if it is not."""

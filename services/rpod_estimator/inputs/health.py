@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import (
     OK,
+    OUT_OF_RANGE,
     REJECTED,
     SEARCHING,
     USUAL_LIMITS,
@@ -42,6 +43,12 @@ _NOISIER = (
     "its ranges have a noise of {:.2g} m, not of {:.2g} m as stated or assumed; poses have the larger one; "
     "state it as sigma_range_m of lidar/info, or of the sensor in the estimator's configuration"
 )
+_KIND_OF = {
+    Cause.OTHER: REJECTED,
+    Cause.OUT_OF_RANGE: OUT_OF_RANGE,
+    Cause.SLOW_SEARCH: SEARCHING,
+}
+"""Kind of a loss, by the cause that the navigator states."""
 _PERIOD_S = 1.0
 """Time between two updates of the diagnostics."""
 
@@ -101,8 +108,8 @@ class InputHealth:
                 noises = status.evidence[NOISE_M], status.evidence[STATED_NOISE_M]
                 book.tell(now_s, _NOISIER.format(*noises))
         else:
-            kind = SEARCHING if output.cause is Cause.SLOW_SEARCH else REJECTED
-            book.lose(Loss(arrived.refused or kind, output.why), now_s)
+            kind = arrived.refused or _KIND_OF[output.cause]
+            book.lose(Loss(kind, output.why), now_s)
 
     def give_up(self, sensor: str, frame: GivenUp, now_s: float) -> None:
         """Note a frame that never became complete."""
@@ -190,6 +197,6 @@ class InputHealth:
             return
         self._reported[name] = state, now_s
         if state.level == Health.OK:
-            log.info("%s: in order again", name)
+            log.info("%s", state.text or f"{name}: in order again")
         else:
             log.log(logging.ERROR if state.level == Health.ERROR else logging.WARNING, "%s", state.text)

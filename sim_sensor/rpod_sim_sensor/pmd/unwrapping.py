@@ -77,4 +77,5 @@ def unwrap_pixel(first_m: float, second_m: float, turns: Turns) -> tuple[float, 
         two_m = second_m + np.floor((one_m - second_m) / turns.second_m + 0.5) * turns.second_m
         if abs(one_m - two_m) < least_m:
             least_m, near_m, other_m = abs(one_m - two_m), one_m, two_m
-    return near_m + (1.0 - turns.first_weight) * (other_m - near_m), least_m / turns.half_gap_m
+    mean_m = near_m + (1.0 - turns.first_weight) * (other_m - near_m)
+    return mean_m % (turns.number * turns.first_m), least_m / turns.half_gap_m

@@ -5,7 +5,14 @@ import logging
 import pytest
 
 from rpod_estimator.frame_reader import Arrived
-from rpod_estimator.inputs.book import LOCKSTEP_SILENCE_S, SEARCHING, Loss, SensorBook, unpaired
+from rpod_estimator.inputs.book import (
+    LOCKSTEP_SILENCE_S,
+    OUT_OF_RANGE,
+    SEARCHING,
+    Loss,
+    SensorBook,
+    unpaired,
+)
 from rpod_estimator.inputs.health import InputHealth
 from rpod_pose.belief import AMPLITUDE_LEFT_OUT, NOISE_M, STATED_NOISE_M
 from rpod_pose.navigation.state import Cause, Output
@@ -17,6 +24,7 @@ from rpod_schemas.types import EstimatorStatus, Health, Mode
 
 LATE = Loss("late", "late: 1.200 s old, filter.max_delay_s is 1; check the sensor's clock")
 REFUSED = Loss("rejected", "7.5% of 900 pixels are inconsistent with the pose, limit 5%")
+FAR = Loss(OUT_OF_RANGE, "out of range: the target is predicted at 64.8 m, range_m is 0 to 17")
 US = 1_000
 
 
@@ -179,6 +187,45 @@ def test_an_amplitude_that_belongs_to_no_frame_is_told_although_depth_is_used(sh
     assert book.state(now_s).level == level
     words = "amplitude is not used without depth: the nearest one is stamped 5.000 ms earlier"
     assert (words in book.state(now_s).text) == (level == Health.WARN)
+
+
+def test_a_sensor_that_is_out_of_range_is_idle_and_only_its_clock_is_judged():
+    book, now_s = book_after([FAR] * 30)
+    book.note("defect", "22 pixels have a negative depth")
+    assert book.state(now_s) == (Health.OK, f"pmd: {FAR.text}; its frames are not used meanwhile")
+    book.note("clock", "its stamps are ahead")
+    assert book.state(now_s).level == Health.WARN
+    assert book.state(now_s).text.endswith("meanwhile; its stamps are ahead")
+
+
+def test_frames_out_of_range_do_not_count_where_others_are_judged():
+    book, now_s = book_after([LATE, FAR, None, LATE] * 8)
+    assert book.state(now_s).text.startswith("pmd: only 4 of 13 frames used in 2.0 s; 9 of 13: late")
+    book, now_s = book_after([LATE, FAR, None, None] * 8)
+    assert book.state(now_s) == (Health.OK, "")
+
+
+def test_a_sensor_that_comes_into_range_is_logged_once_each_way(caplog):
+    caplog.set_level(logging.INFO)
+    health = InputHealth(HealthBook("estimator"), {"pmd": "depth"}, now_s=0.0)
+    for number in range(80):
+        now_s, near = 0.1 * number, number >= 50
+        health.books["pmd"].note_arrival(now_s)
+        status = EstimatorStatus(
+            stamp_ns=number,
+            frame_id="chaser",
+            mode=Mode.TRACKING,
+            accepted=near,
+            reason="" if near else FAR.text,
+        )
+        cause = Cause.OTHER if near else Cause.OUT_OF_RANGE
+        health.judge(Arrived("pmd", number, now_s, None), Output(status, None, cause=cause), now_s)
+        health.report(Mode.TRACKING, now_s)
+    assert [(each.levelname, each.message) for each in caplog.records] == [
+        ("INFO", f"pmd: {FAR.text}; its frames are not used meanwhile"),
+        ("INFO", "pmd: in order again"),
+    ]
+    assert health.books["pmd"].lost == {OUT_OF_RANGE: 50}
 
 
 def test_of_a_slow_sensor_the_last_three_frames_are_judged():

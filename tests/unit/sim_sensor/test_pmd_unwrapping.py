@@ -46,6 +46,14 @@ def test_beyond_the_unambiguous_range_distances_wrap(truth_m: float) -> None:
     assert float(disagreement) < 0.01, "nothing gives it away: the light falls off, and that is all"
 
 
+def test_noise_where_both_frequencies_begin_a_turn_gives_no_negative_distance() -> None:
+    rng = np.random.default_rng(2)
+    truth_m = DUAL.unambiguous_range_m + rng.uniform(-0.1, 0.1, 2000)
+    noisy_m = truth_m + rng.normal(0.0, 0.1, (2, truth_m.size))
+    distance_m, _ = unwrap(*(wrapped(each, DUAL)[index] for index, each in enumerate(noisy_m)), DUAL)
+    assert ((distance_m >= 0.0) & (distance_m < DUAL.unambiguous_range_m)).all()
+
+
 def shares(signal_e: float, background_e: float) -> tuple[float, float, float]:
     """Return how many distances are right, how many are kept, and how many of these are right."""
     rng = np.random.default_rng(4)
