@@ -27,9 +27,15 @@ USUAL_LIMITS = NavigatorTuning()
 """Limits by which a navigator begins and ends tracks if its configuration has none."""
 AT_ONCE = frozenset({Reason.OTHER_SETUP, Reason.OTHER_CAMERA, Reason.CLOCK_STEP})
 """Kinds of losses that are reported at the first frame: the sensor or its clock has changed."""
-UNPAIRED, REJECTED, SEARCHING, OUT_OF_RANGE = "unpaired", "rejected", "searching", "out_of_range"
+UNPAIRED, REJECTED, SEARCHING = "unpaired", "rejected", "searching"
 """Kinds of losses beside those of ``Reason``: parts of a frame are missing; the estimator rejected it; it
-came during a search that takes long, or the target is out of the sensor's range, which are no errors."""
+came during a search that takes long, which is no error."""
+OUT_OF_RANGE, JOINING = "out_of_range", "joining"
+"""Kinds of losses of a sensor in order that waits: until the target is within its range; until other sensors
+confirm it."""
+_JOINS_S = 10.0
+"""Time for which a sensor may wait until others confirm it, s: two scans of a LIDAR at 0.2 Hz. If it takes
+longer, they do not agree."""
 Note = Literal["clock", "drift", "defect", "hint", "load", "instead"]
 """What a text about a sensor is: how its stamps and the arrival of its frames contradict each other; how its
 clock drifts, if more than is declared; the defect of its newest frame, which is used nevertheless; a fault in
@@ -46,7 +52,7 @@ class Loss(NamedTuple):
     """Why a frame was not used."""
 
     kind: str
-    """A ``Reason``, ``UNPAIRED``, ``REJECTED``, ``SEARCHING`` or ``OUT_OF_RANGE``."""
+    """A ``Reason``, ``UNPAIRED``, ``REJECTED``, ``SEARCHING``, ``OUT_OF_RANGE`` or ``JOINING``."""
     text: str
     """Reason with its figures and the remedy."""
 
@@ -96,6 +102,7 @@ class SensorBook:
         """Number of frames that were not used, by kind of loss."""
         self.examples: dict[str, str] = {}
         """Last loss of each kind, in words."""
+        self._joins_since_s: float | None = None
         self._repeats = 0
         self._sync = SensorSync()
         self._notes: dict[Note, str] = {}
@@ -133,12 +140,15 @@ class SensorBook:
     def use(self, now_s: float, weak_support: str = "") -> None:
         """Count a frame that was used; ``weak_support`` is why it supports its pose only weakly, if so."""
         self.used += 1
+        self._joins_since_s = None
         self._recent.append(_Frame(now_s, None, weak_support))
 
     def lose(self, loss: Loss, now_s: float) -> None:
         """Count a frame that was not used."""
         self.lost[loss.kind] += 1
         self.examples[loss.kind] = loss.text
+        if loss.kind == JOINING and self._joins_since_s is None:
+            self._joins_since_s = now_s
         self._recent.append(_Frame(now_s, loss))
 
     def tell(self, now_s: float, text: str) -> None:
@@ -192,11 +202,11 @@ class SensorBook:
         if newest is not None and newest.kind in AT_ONCE:
             return InputState(Health.ERROR, f"{self.name}: {newest.text}")
         losses = [frame.loss for frame in self._recent if frame.loss is not None]
-        beyond = [loss for loss in losses if loss.kind == OUT_OF_RANGE]
-        if 2 * len(beyond) > len(self._recent):
-            return self._idle(beyond[-1])
-        losses = [loss for loss in losses if loss.kind != OUT_OF_RANGE]
-        frames = len(self._recent) - len(beyond)
+        waiting = [loss for loss in losses if self._is_waiting(loss, now_s)]
+        if 2 * len(waiting) > len(self._recent):
+            return self._waits(waiting[-1])
+        losses = [loss for loss in losses if not self._is_waiting(loss, now_s)]
+        frames = len(self._recent) - len(waiting)
         if frames < LEAST_FRAMES or now_s - self._since_s < WINDOW_S or 2 * len(losses) <= frames:
             return self._doubtful(now_s)
         (reason, most), *_ = Counter(without_figures(loss.text) for loss in losses).most_common(1)
@@ -204,16 +214,20 @@ class SensorBook:
         how = "no frame" if len(losses) == frames else f"only {frames - len(losses)} of {frames} frames"
         level = Health.ERROR if len(losses) == frames and latest.kind != SEARCHING else Health.WARN
         past_s = now_s - self._recent[0].time_s
-        check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING) else ""
+        check = _CHECK.format(self.name) if latest.kind in (REJECTED, SEARCHING, JOINING) else ""
         hint = self._noted("hint") if latest.kind == REJECTED else ""
         load = self._overloaded(now_s) or (self._noted("load") if latest.kind == SEARCHING else "")
         text = _joined(latest.text, self._noted("clock", "drift", "defect"), hint, load, check)
         return InputState(level, f"{self.name}: {how} used in {past_s:.1f} s; {most} of {frames}: {text}")
 
-    def _idle(self, beyond: Loss) -> InputState:
-        """Return the health of a sensor that is out of range, of which only the clock is judged."""
+    def _is_waiting(self, loss: Loss, now_s: float) -> bool:
+        since_s = now_s if self._joins_since_s is None else self._joins_since_s
+        return loss.kind == OUT_OF_RANGE or (loss.kind == JOINING and now_s - since_s <= _JOINS_S)
+
+    def _waits(self, waiting: Loss) -> InputState:
+        """Return the health of a sensor in order that waits, of which only the clock is judged."""
         clock = self._noted("clock", "drift")
-        text = _joined(f"{beyond.text}; its frames are not used meanwhile", clock)
+        text = _joined(f"{waiting.text}; its frames are not used meanwhile", clock)
         return InputState(Health.WARN if clock else Health.OK, f"{self.name}: {text}")
 
     def _bus_silent_s(self, bus_s: float | None) -> float:

@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import (
+    JOINING,
     OK,
     OUT_OF_RANGE,
     REJECTED,
@@ -46,6 +47,7 @@ _NOISIER = (
 _KIND_OF = {
     Cause.OTHER: REJECTED,
     Cause.OUT_OF_RANGE: OUT_OF_RANGE,
+    Cause.JOINING: JOINING,
     Cause.SLOW_SEARCH: SEARCHING,
 }
 """Kind of a loss, by the cause that the navigator states."""

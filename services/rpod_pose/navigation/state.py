@@ -27,6 +27,8 @@ class Cause(Enum):
     OTHER = auto()
     OUT_OF_RANGE = auto()
     """The sensor is configured for other distances."""
+    JOINING = auto()
+    """The sensor joins the track as soon as other sensors confirm it."""
     SLOW_SEARCH = auto()
     """The frame came while a search for a first pose takes long."""
 

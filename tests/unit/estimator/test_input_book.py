@@ -6,6 +6,7 @@ import pytest
 
 from rpod_estimator.frame_reader import Arrived
 from rpod_estimator.inputs.book import (
+    JOINING,
     LOCKSTEP_SILENCE_S,
     OUT_OF_RANGE,
     SEARCHING,
@@ -189,13 +190,24 @@ def test_an_amplitude_that_belongs_to_no_frame_is_told_although_depth_is_used(sh
     assert (words in book.state(now_s).text) == (level == Health.WARN)
 
 
-def test_a_sensor_that_is_out_of_range_is_idle_and_only_its_clock_is_judged():
-    book, now_s = book_after([FAR] * 30)
+@pytest.mark.parametrize("kind", [OUT_OF_RANGE, JOINING])
+def test_a_sensor_that_waits_is_in_order_and_only_its_clock_is_judged(kind):
+    book, now_s = book_after([Loss(kind, FAR.text)] * 30)
     book.note("defect", "22 pixels have a negative depth")
     assert book.state(now_s) == (Health.OK, f"pmd: {FAR.text}; its frames are not used meanwhile")
     book.note("clock", "its stamps are ahead")
     assert book.state(now_s).level == Health.WARN
     assert book.state(now_s).text.endswith("meanwhile; its stamps are ahead")
+
+
+def test_a_sensor_that_others_do_not_confirm_in_ten_seconds_is_told():
+    joins = Loss(JOINING, "offered: the sensor joins the track when the next frames of lidar agree")
+    book, now_s = book_after([joins] * 80)
+    assert book.state(now_s).level == Health.OK
+    book, now_s = book_after([None] * 8 + [joins] * 90)
+    assert book.state(now_s).level == Health.ERROR
+    assert "17 of 17: offered: the sensor joins" in book.state(now_s).text
+    assert "rpod driver check pmd" in book.state(now_s).text
 
 
 def test_frames_out_of_range_do_not_count_where_others_are_judged():

@@ -12,7 +12,7 @@ from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.sensors.beside import Beside
 from rpod_pose.navigation.sensors.joining import Separation, probation, update_separation
 from rpod_pose.navigation.sensors.streams import is_supported
-from rpod_pose.navigation.state import NavigatorState, Output
+from rpod_pose.navigation.state import Cause, NavigatorState, Output
 from rpod_pose.ports import Registration
 from rpod_schemas.config.estimator import EstimatorSettings
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -55,7 +55,7 @@ class Newcomers:
     ) -> tuple[NavigatorState, Output]:
         """Return the state after a newcomer's frame, and its output."""
         if state.mode == Mode.VERIFYING:
-            return state, self._output(state, event, reason=UNVERIFIED)
+            return state, self._output(state, event, reason=UNVERIFIED, cause=Cause.JOINING)
         separation = state.separation or Separation(history, history)
         predicted = separation.including.at(event.stamp_ns, self._config)
         if predicted is None:
@@ -88,8 +88,14 @@ class Newcomers:
         else:
             state = replace(state, separation=replace(separation, including=grown))
             if not separation.joined:
-                reason = probation(state.established)
-                output = self._output(state, event, registration, reason=reason, nis=nis)
+                output = self._output(
+                    state,
+                    event,
+                    registration,
+                    reason=probation(state.established),
+                    cause=Cause.JOINING,
+                    nis=nis,
+                )
                 return state, replace(output, compared=beside)
             state = replace(state, history=grown)
         state = self._accepting(state, event, registration)
