@@ -93,7 +93,8 @@ class PlotData:
 
     def _take_statuses(self, run: Run) -> None:
         statuses = run.statuses
-        self.mode.extend(statuses.stamp_ns, statuses.mode)
+        order, newest_ns = statuses.by_arrival()
+        self.mode.extend(newest_ns, statuses.mode[order])
         self.source.extend(statuses.stamp_ns, statuses.source)
         self.nis.extend(statuses.stamp_ns, statuses.nis)
         rejected = ~statuses.accepted

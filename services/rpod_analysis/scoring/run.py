@@ -36,6 +36,8 @@ class Statuses:
 
     stamp_ns: IntArray
     """Stamps of the frames, ns of UTC."""
+    number: IntArray
+    """Place in the order of arrival, in which the navigator passed through the modes."""
     mode: IntArray
     """Values of ``Mode``."""
     source: IntArray
@@ -55,6 +57,14 @@ class Statuses:
 
     def __len__(self) -> int:
         return self.stamp_ns.size
+
+    def by_arrival(self) -> tuple[IntArray, IntArray]:
+        """Return the places in the order of arrival, and the newest stamp up to each, ns, both shape (N,).
+
+        A scan arrives after images with newer stamps. The mode that it brings about begins after theirs.
+        """
+        order = np.argsort(self.number)
+        return order, np.maximum.accumulate(self.stamp_ns[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,10 +302,11 @@ def _truth(rows: list[Row]) -> Track:
 
 
 def _statuses(rows: list[Row]) -> Statuses:
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 9
-    stamp_ns, mode, source, accepted, nis, processing_s, sensor, reason, lost_before = columns
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 10
+    stamp_ns, number, mode, source, accepted, nis, processing_s, sensor, reason, lost_before = columns
     return Statuses(
         stamp_ns=np.array(stamp_ns, np.int64),
+        number=np.array(number, np.int64),
         mode=np.array(mode, np.int64),
         source=np.array(source, np.int64),
         accepted=np.array(accepted, bool),

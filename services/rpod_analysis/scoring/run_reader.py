@@ -42,8 +42,8 @@ class Found:
     estimates: RowStore = field(default_factory=RowStore)
     """Rows of stamp, pose, covariance as bytes, and time of publication."""
     statuses: RowStore = field(default_factory=RowStore)
-    """Rows of stamp, mode, source, accepted, nis, processing_s, sensor and reason, and whether the track was
-    lost before."""
+    """Rows of stamp, place in the order of arrival, mode, source, accepted, nis, processing_s, sensor and
+    reason, and whether the track was lost before."""
     integrity: RowStore = field(default_factory=RowStore)
     """Rows of stamp, state, levels of attitude and position, their alert limits, and reason."""
     frames: RowStore = field(default_factory=RowStore)
@@ -111,8 +111,8 @@ class Reader:
         read = read_status(status)
         self.found.statuses.add(
             (
-                read_stamp(status.header), status.mode, status.source, status.accepted, status.nis,
-                status.processing_s, shown(status.sensor, _LONGEST),
+                read_stamp(status.header), self.found.statuses.count, status.mode, status.source,
+                status.accepted, status.nis, status.processing_s, shown(status.sensor, _LONGEST),
                 shown(status.reason, _LONGEST) or _lost(read.evidence), LOST_AFTER_S in read.evidence,
             )
         )  # fmt: skip

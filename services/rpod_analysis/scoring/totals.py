@@ -189,22 +189,24 @@ class RunTotals:
         statuses = run.statuses
         if not len(statuses):
             return
-        tracking = statuses.mode == Mode.TRACKING
+        order, newest_ns = statuses.by_arrival()
+        modes, reasons = statuses.mode[order], statuses.reason[order]
+        tracking = modes == Mode.TRACKING
         if self._first_tracking_s is None and tracking.any():
             first = int(np.argmax(tracking))
-            self._first_tracking_s = float(run.seconds(statuses.stamp_ns)[first])
-            since = statuses.mode[first:]
+            self._first_tracking_s = float(run.seconds(newest_ns)[first])
+            since = modes[first:]
         else:
-            since = statuses.mode
+            since = modes
         if self._first_tracking_s is not None:
             self._since += since.size
             self._tracking_since += int((since == Mode.TRACKING).sum())
             self._coasting_since += int((since == Mode.COASTING).sum())
         earlier = [self._last] if self._last else []
-        stamp_ns = np.array([stamp for stamp, _ in earlier] + statuses.stamp_ns.tolist(), np.int64)
-        mode = np.array([mode for _, mode in earlier] + statuses.mode.tolist(), np.int64)
+        stamp_ns = np.array([stamp for stamp, _ in earlier] + newest_ns.tolist(), np.int64)
+        mode = np.array([mode for _, mode in earlier] + modes.tolist(), np.int64)
         self._last = int(stamp_ns[-1]), int(mode[-1])
-        held = np.where(statuses.lost_before[1 - len(earlier) :], Mode.LOST, mode[:-1])
+        held = np.where(statuses.lost_before[order][1 - len(earlier) :], Mode.LOST, mode[:-1])
         self._take_times(np.diff(stamp_ns), held == Mode.TRACKING)
         self._take_lost(run.seconds(stamp_ns)[:-1], np.diff(stamp_ns), held)
         for index in np.flatnonzero(np.diff(mode)) + 1:
@@ -215,7 +217,7 @@ class RunTotals:
                         time_s=float(run.seconds(stamp_ns)[index]),
                         before=Mode(mode[index - 1]),
                         after=Mode(mode[index]),
-                        reason=str(statuses.reason[index - len(earlier)]),
+                        reason=str(reasons[index - len(earlier)]),
                     )
                 )
 

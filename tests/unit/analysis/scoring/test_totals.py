@@ -45,6 +45,21 @@ def test_changes_of_state_are_told_with_time_and_reason_and_counted_where_they_a
     assert (flapping.change_count, len(flapping.changes)) == (90, 12)
 
 
+def test_a_mode_begins_after_the_frames_that_came_before_a_late_one(tmp_path):
+    """A scan with the stamp 0.3 s arrives after the images of 0.4 and 0.5 s, and begins the track."""
+
+    def frame(number, _time_s):
+        late = number == 3
+        return Frame(mode=T if late or number > 5 else V, latency_s=0.3 if late else 0.06)
+
+    totals = totals_of(tmp_path, duration_s=1.0, frame=frame)
+    (change,) = totals.changes
+    assert (change.before, change.after) == (V, T)
+    assert change.time_s == pytest.approx(0.5 + 2 / 250)
+    assert totals.modes().first_tracking_s == pytest.approx(0.5 + 2 / 250)
+    assert totals.modes().tracking_share == 1.0
+
+
 def test_a_track_that_one_frame_ends_and_begins_again_is_told_with_its_reason(tmp_path):
     def frame(number, _time_s):
         return Frame(mode=V if number == 5 else T, evidence={"lost_after_s": 1.25} if number == 5 else {})
