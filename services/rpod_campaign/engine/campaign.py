@@ -1,7 +1,7 @@
 """A campaign: its options, its cells, its trial, and the summary of its rows in tables and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, TypeVar
 
 import polars as pl
@@ -14,6 +14,11 @@ CellT = TypeVar("CellT")
 Row = Mapping[str, Any]
 CELL, TRIAL = "cell", "trial"
 """Names of the first columns of every row: index of the cell, number of the trial."""
+
+
+def described(cell: Any) -> dict[str, Any]:
+    """Return the parameters of a cell for its summary, without the whole document of its scenario."""
+    return {name: value for name, value in asdict(cell).items() if name != "document"}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """``faults``: shares of modes, times to LOST and back, wrong estimates, by kind and size."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import polars as pl
 
 from rpod_analysis.scoring.fault_scores import FaultScore
 from rpod_analysis.scoring.score import OFF_TARGET_M, OFF_TARGET_RAD
-from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.engine.campaign import TRIAL, CellResult, described
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
 from rpod_campaign.faults.cell import FaultCell
@@ -27,7 +26,7 @@ def summarise(cell: FaultCell, rows: pl.DataFrame) -> dict[str, Any]:
     outcomes = [_outcome(cell, sequence) for sequence in rows.sort(FRAME).partition_by(TRIAL)]
     size = BY_NAME[cell.fault].size
     return {
-        **{name: value for name, value in asdict(cell).items() if name != "document"},
+        **described(cell),
         "unit": size.unit if size else "",
         "sequences": len(outcomes),
         "frames": sum(each.frames for each in outcomes),

@@ -1,18 +1,17 @@
 """``integrity``: misleading frames, time to alert, false alerts, availability, and Stanford diagrams."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import polars as pl
 from scipy.stats import beta, chi2
 
-from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.engine.campaign import TRIAL, CellResult, described
 from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent
-from rpod_campaign.engine.report.statistics import consistency, quantile
+from rpod_campaign.engine.report.statistics import consistency, quantile, root_mean_square
 from rpod_campaign.integrity.cell import IntegrityCell
 from rpod_campaign.integrity.faults import BY_NAME
 from rpod_campaign.integrity.trial import FRAME
@@ -43,9 +42,8 @@ def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
     told = [delay_s for delay_s in harmed if np.isfinite(delay_s)]
     hours = sum(_before(each).height for each in _sequences(rows)) / _rate_hz(cell) / 3600.0
     false_alerts = sum(_onsets(each) for each in _sequences(rows))
-    described = {name: value for name, value in asdict(cell).items() if name != "document"}
     return {
-        **described,
+        **described(cell),
         "unit": BY_NAME[cell.fault].unit,
         "sequences": rows[TRIAL].n_unique(),
         "frames": rows.height,
@@ -72,8 +70,7 @@ def _sizes(scored: pl.DataFrame) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for name, unit in (("attitude", "deg"), ("position", "m")):
         error, level = scored[f"{name}_error_{unit}"], quantile(scored[f"{name}_level_{unit}"], 0.5)
-        squares = error.drop_nulls().to_numpy() ** 2
-        rms = float(np.sqrt(squares.mean())) if squares.size else None
+        rms = root_mean_square(error.drop_nulls())
         found |= {f"{name}_rms_{unit}": rms, f"{name}_level_{unit}": level}
         found[f"{name}_level_over_rms"] = level / rms if level is not None and rms else None
     return found

@@ -10,7 +10,7 @@ from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import NONE, in_world, milliseconds, number, percent, printed, word
-from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate_of
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.scores import RIGHT_M, RIGHT_SHARE, SUCCESS_DEG, ambiguous, wrong
 from rpod_campaign.lidar_acquisition.trial import AcquisitionCell
@@ -19,23 +19,16 @@ from rpod_campaign.papers import paper_2015 as paper
 Results = Sequence[CellResult[AcquisitionCell]]
 
 
-def success(rows: pl.DataFrame) -> Rate:
-    """Return the success rate."""
-    return rate(int(rows["success"].sum()), rows.height)
-
-
 def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell; ``wrong_accepted`` and ``right_rejected`` are numbers of trials."""
-    share, discarded = success(rows), int(rows["discarded"].sum())
+    discarded = int(rows["discarded"].sum())
     return {
         **asdict(cell),
         "trials": rows.height,
         "discarded_share": discarded / (discarded + rows.height) if rows.height else None,
         "templates": rows["templates"].max(),
         "excluded_share": mean(rows["excluded_share"]),
-        "success_rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
+        **rate_of(rows, "success").named("success_rate"),
         "median_s": quantile(rows["acquire_s"], 0.5),
         "p95_s": quantile(rows["acquire_s"], 0.95),
         "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
@@ -89,7 +82,7 @@ def _success_table(results: Results) -> Table:
         (
             *_name(result.cell),
             str(result.rows.height),
-            str(success(result.rows)),
+            str(rate_of(result.rows, "success")),
             _paper_success(result.cell),
             percent(result.summary["discarded_share"]),
             number(mean(result.rows["returns"]), ".0f"),
@@ -139,7 +132,7 @@ def _answer_table(results: Results) -> Table:
 
 def _loss_tables(results: Results) -> tuple[Table, ...]:
     """Return the success that the fast variant loses against template matching in the same cells."""
-    rates = {result.cell: success(result.rows) for result in results}
+    rates = {result.cell: rate_of(result.rows, "success") for result in results}
     rows = []
     for cell, share in rates.items():
         if cell.method != paper.TM:
@@ -177,7 +170,7 @@ def _figures(results: Results) -> tuple[Any, ...]:
     by_step: dict[str, dict[float, Rate]] = {}
     marks: dict[str, dict[float, float]] = {}
     for result in results:
-        cell, share = result.cell, success(result.rows)
+        cell, share = result.cell, rate_of(result.rows, "success")
         about = ", ".join(_name(cell)[k] for k in (0, 1, 3, 4, 5, 6) if _name(cell)[k] != NONE)
         by_range.setdefault(about + (f", {cell.step_deg:g} deg" if cell.step_deg else ""), {})[
             cell.range_m
@@ -188,9 +181,7 @@ def _figures(results: Results) -> tuple[Any, ...]:
             text = _paper_success(cell)
             if text:
                 marks.setdefault(name, {})[cell.step_deg] = float(text)
-    figures = [rate_figure(by_range, x_title="range [m]", y_title="success rate")]
+    figures = [rate_figure(by_range, x_title="range [m]")]
     if any(len(points) > 1 for points in by_step.values()):
-        figures.append(
-            rate_figure(by_step, x_title="template step [deg]", y_title="success rate", printed=marks)
-        )
+        figures.append(rate_figure(by_step, x_title="template step [deg]", printed=marks))
     return tuple(figures)

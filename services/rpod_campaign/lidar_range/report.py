@@ -10,7 +10,7 @@ from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import distinct, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import NONE, in_world, milliseconds, number, printed, word
-from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate_of
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.scores import ambiguous, wrong
 from rpod_campaign.lidar_range.trial import RangeCell, lidar_of
@@ -37,23 +37,21 @@ CRITERION_DEG, CRITERION_M = 5.0, 0.2
 def close(rows: pl.DataFrame, target: Target) -> Rate:
     """Return the share within 5 deg and 0.2 m; for a target that is not shipped, that of successes."""
     if not is_shipped(target):
-        return rate(int(rows["success"].sum()), rows.height)
+        return rate_of(rows, "success")
     near = (pl.col("attitude_error_deg") < CRITERION_DEG) & (pl.col("position_error_m") < CRITERION_M)
-    return rate(int(rows.select(near.fill_null(value=False).sum()).item()), rows.height)
+    return rate_of(rows, near)
 
 
 def summarise(cell: RangeCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell."""
-    share, lidar = close(rows, cached_target(cell.target)), lidar_of(cell)
+    lidar = lidar_of(cell)
     return {
         **asdict(cell),
         "window_deg": lidar.pattern.azimuth_span_deg,
         "scan_time_s": lidar.scan_time_s,
         "trials": rows.height,
         "mean_returns": mean(rows["returns"]),
-        "success_rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
+        **close(rows, cached_target(cell.target)).named("success_rate"),
         "accepted": int(rows["accepted"].sum()),
         "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
         **ambiguous(rows),
@@ -75,7 +73,7 @@ def sections(results: Results) -> list[Section]:
         "intervals. Detection off: every ray that meets the target returns, as for OBB-TM. The window has "
         "the target's bounding sphere, 40 deg at most; the scan time is that of the window at 10 kHz."
     )
-    figure = rate_figure(lines, x_title="range [m]", y_title="success rate")
+    figure = rate_figure(lines, x_title="range [m]")
     return [Section("Range and scan step", note, (_table(results),), (figure,))]
 
 

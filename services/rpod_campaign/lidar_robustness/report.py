@@ -9,9 +9,9 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, word
+from rpod_campaign.engine.report.statistics import rate_of
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.scores import ambiguous, wrong
-from rpod_campaign.lidar_acquisition.report import success
 from rpod_campaign.lidar_robustness.trial import NOMINAL, RobustnessCell
 
 Results = Sequence[CellResult[RobustnessCell]]
@@ -19,13 +19,10 @@ Results = Sequence[CellResult[RobustnessCell]]
 
 def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell; ``right_rejected`` counts the right poses that were not accepted."""
-    share = success(rows)
     return {
         **asdict(cell),
         "trials": rows.height,
-        "success_rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
+        **rate_of(rows, "success").named("success_rate"),
         "wrong_accepted": int((wrong(rows, cached_target(cell.target)) & rows["accepted"]).sum()),
         "right_rejected": int((rows["success"] & ~rows["accepted"]).sum()),
         **ambiguous(rows),
@@ -34,10 +31,10 @@ def summarise(cell: RobustnessCell, rows: pl.DataFrame) -> dict[str, Any]:
 
 def sections(results: Results) -> list[Section]:
     """Return the sections of the report."""
-    nominal = {r.cell: success(r.rows).value for r in results if r.cell.disturbance == NOMINAL}
+    nominal = {r.cell: rate_of(r.rows, "success").value for r in results if r.cell.disturbance == NOMINAL}
     rows = []
     for result in results:
-        cell, share = result.cell, success(result.rows)
+        cell, share = result.cell, rate_of(result.rows, "success")
         fall = nominal[replace(cell, disturbance=NOMINAL)] - share.value
         rows.append(
             (

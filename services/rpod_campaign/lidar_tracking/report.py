@@ -7,10 +7,10 @@ from typing import Any
 import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import curve_figure
+from rpod_campaign.engine.report.charts import distribution_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, millimetres, milliseconds, number, percent, word
-from rpod_campaign.engine.report.statistics import consistency, quantile, rate
+from rpod_campaign.engine.report.statistics import consistency, quantile, rate, rate_of
 from rpod_campaign.engine.trial.targets import cached_target
 from rpod_campaign.lidar.returns import ELLIPSE_RETURNS
 from rpod_campaign.lidar.scores import wrong
@@ -49,7 +49,7 @@ def summarise(cell: TrackingCell, rows: pl.DataFrame) -> dict[str, Any]:
     return {
         **asdict(cell),
         "trials": rows.height,
-        "success_rate": rate(int(rows["success"].sum()), rows.height).value,
+        "success_rate": rate_of(rows, "success").value,
         "wrong_accepted": int((off & rows["accepted"]).sum()),
         "right_rejected": int((~off & ~rows["accepted"]).sum()),
         "ambiguous": int(rows["ambiguous"].sum()),
@@ -99,7 +99,7 @@ def _single_table(results: Results) -> Table:
                 cell.tracker,
                 word(cell.range_m),
                 str(result.rows.height),
-                str(rate(int(result.rows["success"].sum()), result.rows.height)),
+                str(rate_of(result.rows, "success")),
                 number(s["median_deg"], ".3f"),
                 number(s["p95_deg"], ".3f"),
                 millimetres(s["median_m"]),
@@ -138,13 +138,9 @@ def _sequence_table(results: Results) -> Table:
 
 def _figures(results: Results) -> tuple[Any, ...]:
     """Return the distribution of the attitude error of each tracker and range."""
-    curves = {}
+    errors_deg = {}
     for result in results:
-        errors_deg = result.rows["attitude_error_deg"].drop_nulls().sort().to_list()
-        shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
         target = in_world(result.cell.target, result.cell.world, result.cell.surroundings)
-        curves[f"{target}, {result.cell.tracker}, {result.cell.range_m:g} m"] = (
-            errors_deg,
-            shares,
-        )
-    return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)
+        name = f"{target}, {result.cell.tracker}, {result.cell.range_m:g} m"
+        errors_deg[name] = result.rows["attitude_error_deg"]
+    return (distribution_figure(errors_deg),)

@@ -50,7 +50,7 @@ def figures_over_steps(results: Results) -> tuple[go.Figure, ...]:
         for icp in ("nn", "ns") if cell.method == paper.TM else ("nn",):
             name = f"{about}, {icp.upper()}"
             lines.setdefault(name, {})[cell.step_deg] = success(result, icp)
-    return (rate_figure(lines, x_title="template step [deg]", y_title="success rate"),)
+    return (rate_figure(lines, x_title="template step [deg]"),)
 
 
 def _line(cell: TrajectoryCell) -> tuple[str, ...]:

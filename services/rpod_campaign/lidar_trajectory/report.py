@@ -8,7 +8,7 @@ import polars as pl
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section
-from rpod_campaign.engine.report.statistics import mean, quantile, rate
+from rpod_campaign.engine.report.statistics import mean, quantile, rate_of
 from rpod_campaign.lidar_trajectory import trial
 from rpod_campaign.lidar_trajectory.figures import figures_over_steps, figures_over_time
 from rpod_campaign.lidar_trajectory.tables import (
@@ -36,7 +36,7 @@ def summarise(cell: TrajectoryCell, rows: pl.DataFrame) -> dict[str, Any]:
         "p95_s": quantile(rows["search_s"], 0.95),
     }
     for icp, matcher in MATCHERS.items():
-        share = rate(int(rows[f"{icp}_success"].sum()), rows.height)
+        share = rate_of(rows, f"{icp}_success")
         name = matcher.replace("-", "_")
         summary |= {
             f"{name}_success_rate": share.value,

@@ -8,7 +8,7 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Table
 from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, printed, word
-from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate
+from rpod_campaign.engine.report.statistics import Rate, mean, quantile, rate_of
 from rpod_campaign.lidar_trajectory.trial import TrajectoryCell
 from rpod_campaign.papers import paper_2015 as paper
 
@@ -20,7 +20,7 @@ _NAMES = ("target", "Eq. 4", "centroid", "method", "step, deg")
 
 def success(result: Result, icp: str = "nn") -> Rate:
     """Return the success rate with one of the ICPs."""
-    return rate(int(result.rows[f"{icp}_success"].sum()), result.rows.height)
+    return rate_of(result.rows, f"{icp}_success")
 
 
 def success_table(results: Results) -> Table:

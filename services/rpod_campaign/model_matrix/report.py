@@ -5,7 +5,7 @@ from typing import Any
 
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, number
+from rpod_campaign.engine.report.numbers import in_world, millimetres, number
 from rpod_campaign.engine.report.statistics import quantile
 from rpod_campaign.population.trial import PopulationCell
 
@@ -53,8 +53,7 @@ def _row(acquired: CellResult[PopulationCell], tracked: CellResult[PopulationCel
 def _errors(result: CellResult[Any]) -> tuple[str, str]:
     """Return the median errors of all found poses: attitude, deg, and position, mm."""
     rows = result.rows.filter("seen")
-    position_m = quantile(rows["position_m"], 0.5)
     return (
         number(quantile(rows["attitude_deg"], 0.5), ".2f"),
-        number(None if position_m is None else 1e3 * position_m, ".1f"),
+        millimetres(quantile(rows["position_m"], 0.5)),
     )

@@ -1,7 +1,6 @@
 """``navigation``: NEES and NIS with their intervals over trials, availability, and handovers."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.stats import bootstrap
 
 from rpod_analysis.scoring.handover import AcceptedFrames
 from rpod_analysis.scoring.score import NEES_95
-from rpod_campaign.engine.campaign import TRIAL, CellResult
+from rpod_campaign.engine.campaign import TRIAL, CellResult, described
 from rpod_campaign.engine.report.charts import curve_figure, distinct
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, millimetres, number, percent
@@ -76,9 +75,8 @@ def summarise(cell: NavigationCell, rows: pl.DataFrame) -> dict[str, Any]:
     )
     handovers = [found for each in rows.sort(FRAME).partition_by(TRIAL) for found in _handovers(each)]
     ends = rows.sort(FRAME).group_by(TRIAL).agg(pl.col("mode").last())
-    described = {name: value for name, value in asdict(cell).items() if name != "document"}
     return {
-        **described,
+        **described(cell),
         "trials": rows[TRIAL].n_unique(),
         "frames": scored.height,
         "accepted_share": scored["accepted"].mean(),

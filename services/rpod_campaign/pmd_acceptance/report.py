@@ -1,12 +1,11 @@
 """``pmd-acceptance``: right poses that are rejected, and frames of other objects that are accepted."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult, Row
+from rpod_campaign.engine.campaign import CellResult, Row, described
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.statistics import rate
 from rpod_campaign.pmd_acceptance.trial import OFF_DEG, OFF_M, AcceptanceCell
@@ -17,8 +16,6 @@ _METHODS = ("acquisition", "tracker")
 
 def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a cell: numbers of trials."""
-    parameters = asdict(cell)
-    del parameters["document"]
     counts: dict[str, Any] = {}
     for method in _METHODS:
         accepted, right = rows[f"{method}_accepted"], rows[f"{method}_right"]
@@ -32,7 +29,7 @@ def summarise(cell: AcceptanceCell, rows: pl.DataFrame) -> dict[str, Any]:
         }
     counts["ambiguous"] = int(rows["ambiguous"].sum())
     counts["tracked_after"] = int(rows["tracked_after"].sum())
-    return {**parameters, "spoiled": cell.spoiled, "trials": rows.height, **counts}
+    return {**described(cell), "spoiled": cell.spoiled, "trials": rows.height, **counts}
 
 
 def sections(results: Results) -> list[Section]:

@@ -1,16 +1,15 @@
 """``pmd-acquisition``: the mock-up in one frame at 3 to 6 m, without a guess and near a wrong one."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import polars as pl
 
-from rpod_campaign.engine.campaign import CellResult
-from rpod_campaign.engine.report.charts import curve_figure, distinct
+from rpod_campaign.engine.campaign import CellResult, described
+from rpod_campaign.engine.report.charts import distinct, distribution_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import NONE, in_world, millimetres, milliseconds, number
-from rpod_campaign.engine.report.statistics import quantile, rate
+from rpod_campaign.engine.report.statistics import quantile, rate_of
 from rpod_campaign.pmd.poses import FRONT_DEG, SUCCESS_DEG, SUCCESS_M
 from rpod_campaign.pmd.scene import scenario_of
 from rpod_campaign.pmd_acquisition.trial import WIDE_DEG, WIDE_M, AcquisitionCell
@@ -24,15 +23,11 @@ def summarise(cell: AcquisitionCell, rows: pl.DataFrame) -> dict[str, Any]:
     An ambiguity by an exact symmetry begins a track and is not counted.
     """
     unsure = rows.filter((pl.col("verdict") == "ambiguous") & ~pl.col("accepted"))
-    share, good = rate(int(rows["success"].sum()), rows.height), rows.filter("success")
-    parameters = asdict(cell)
-    del parameters["document"]
+    good = rows.filter("success")
     return {
-        **parameters,
+        **described(cell),
         "trials": rows.height,
-        "success_rate": share.value,
-        "wilson_low": share.low,
-        "wilson_high": share.high,
+        **rate_of(rows, "success").named("success_rate"),
         "median_deg": quantile(good["attitude_deg"], 0.5),
         "median_m": quantile(good["position_m"], 0.5),
         "median_s": quantile(rows["acquire_s"], 0.5),
@@ -62,7 +57,7 @@ def _table(results: Results) -> Table:
         (
             *_name(result.cell),
             str(result.rows.height),
-            str(rate(int(result.rows["success"].sum()), result.rows.height)),
+            str(rate_of(result.rows, "success")),
             number(result.summary["median_deg"], ".2f"),
             millimetres(result.summary["median_m"]),
             milliseconds(result.summary["median_s"]),
@@ -112,12 +107,12 @@ def _name(cell: AcquisitionCell) -> tuple[str, ...]:
 
 def _figures(results: Results) -> tuple[Any, ...]:
     """Return the distribution of the attitude error in each cell."""
-    curves, lines = {}, [_line(result.cell) for result in results]
-    for result, line in zip(results, lines, strict=True):
-        errors_deg = result.rows["attitude_deg"].drop_nulls().sort().to_list()
-        shares = [(k + 1) / result.rows.height for k in range(len(errors_deg))]
-        curves[distinct(line, lines) or result.cell.method] = (errors_deg, shares)
-    return (curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True),)
+    lines = [_line(result.cell) for result in results]
+    errors_deg = {
+        distinct(line, lines) or result.cell.method: result.rows["attitude_deg"]
+        for result, line in zip(results, lines, strict=True)
+    }
+    return (distribution_figure(errors_deg),)
 
 
 def _line(cell: AcquisitionCell) -> tuple[str, ...]:

@@ -8,8 +8,15 @@ import polars as pl
 from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import distinct, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
-from rpod_campaign.engine.report.numbers import in_world, milliseconds, number, percent
-from rpod_campaign.engine.report.statistics import Rate, consistency, quantile, rate, root_mean_square
+from rpod_campaign.engine.report.numbers import in_world, millimetres, milliseconds, number, percent
+from rpod_campaign.engine.report.statistics import (
+    Rate,
+    consistency,
+    quantile,
+    rate,
+    rate_of,
+    root_mean_square,
+)
 from rpod_campaign.population.trial import RIGHT, PopulationCell
 
 Results = Sequence[CellResult[PopulationCell]]
@@ -36,7 +43,6 @@ _RATES: dict[str, pl.Expr] = {
 def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
     """Return the summary of a satellite; rates are over the trials whose frame shows enough of it."""
     seen = rows.filter("seen")
-    success = _count(seen, _SUCCESS)
     return {
         "body": cell.target,
         "model": cell.model,
@@ -51,14 +57,12 @@ def summarise(cell: PopulationCell, rows: pl.DataFrame) -> dict[str, Any]:
         "returns": quantile(seen["returns"], 0.5),
         "trials": seen.height,
         "few_pixels": rows.height - seen.height,
-        "success_rate": success.value,
-        "wilson_low": success.low,
-        "wilson_high": success.high,
-        "ambiguous": _count(seen, _RATES["ambiguous"]).count,
-        "ambiguous_rate": _count(seen, _RATES["ambiguous"]).value,
-        "wrong_accepted": _count(seen, _RATES["wrong_accepted"]).count,
-        "wrong_accepted_coarse": _count(seen, _RATES["wrong_accepted_coarse"]).count,
-        "right_rejected": _count(seen, _RATES["right_rejected"]).count,
+        **rate_of(seen, _SUCCESS).named("success_rate"),
+        "ambiguous": rate_of(seen, _RATES["ambiguous"]).count,
+        "ambiguous_rate": rate_of(seen, _RATES["ambiguous"]).value,
+        "wrong_accepted": rate_of(seen, _RATES["wrong_accepted"]).count,
+        "wrong_accepted_coarse": rate_of(seen, _RATES["wrong_accepted_coarse"]).count,
+        "right_rejected": rate_of(seen, _RATES["right_rejected"]).count,
         **_accuracy(seen),
         "median_s": quantile(seen["took_s"], 0.5),
     }
@@ -88,9 +92,9 @@ def _total(by_satellite: Sequence[pl.DataFrame]) -> dict[str, Any]:
         "bodies": sum(each.height > 0 for each in by_satellite),
         "trials": seen.height,
         "few_pixels": rows.height - seen.height,
-        **{name: _count(seen, condition).as_json for name, condition in _RATES.items()},
-        "right_that_are_accepted": _count(right, pl.col("accepted")).as_json,
-        "accepted_more_than_10_deg_off": _count(accepted, pl.col("attitude_deg") > FAR_OFF_DEG).as_json,
+        **{name: rate_of(seen, condition).as_json for name, condition in _RATES.items()},
+        "right_that_are_accepted": rate_of(right, pl.col("accepted")).as_json,
+        "accepted_more_than_10_deg_off": rate_of(accepted, pl.col("attitude_deg") > FAR_OFF_DEG).as_json,
         **_accuracy(seen),
         "nees_mean_least_body": min(known, default=None),
         "nees_mean_greatest_body": max(known, default=None),
@@ -107,11 +111,6 @@ def _accuracy(rows: pl.DataFrame) -> dict[str, float | None]:
         "position_m_rms": root_mean_square(good["position_m"]),
         **consistency(good),
     }
-
-
-def _count(rows: pl.DataFrame, condition: pl.Expr) -> Rate:
-    """Return the share of the rows that meet a condition."""
-    return rate(int(rows.select(condition.fill_null(value=False).sum()).item()), rows.height)
 
 
 def sections(results: Results) -> list[Section]:
@@ -160,10 +159,9 @@ _ACCURACY = ("RMS, deg", "RMS, mm", "mean NEES", "of", "inside 95 %", "median, m
 
 
 def _texts(summary: dict[str, Any]) -> tuple[str, ...]:
-    position_m = summary["position_m_rms"]
     return (
         number(summary["attitude_deg_rms"], ".2f"),
-        number(None if position_m is None else 1e3 * position_m, ".1f"),
+        millimetres(summary["position_m_rms"]),
         number(summary["nees_mean"], ".2f"),
         number(summary["nees_dof"], ".2g"),
         percent(summary["nees_share_in_95"]),
@@ -205,8 +203,8 @@ def _figure(results: Results) -> Any:
     names = [_line(result) for result in results]
     for result, name in zip(results, names, strict=True):
         points = lines.setdefault(distinct(name, names) or name[0], {})
-        points[result.summary["size_m"] or 0.0] = _count(result.rows.filter("seen"), _SUCCESS)
-    return rate_figure(lines, x_title="longest side [m]", y_title="success rate")
+        points[result.summary["size_m"] or 0.0] = rate_of(result.rows.filter("seen"), _SUCCESS)
+    return rate_figure(lines, x_title="longest side [m]")
 
 
 def _line(result: CellResult[PopulationCell]) -> tuple[str, ...]:

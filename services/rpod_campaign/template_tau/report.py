@@ -11,7 +11,7 @@ from rpod_campaign.engine.campaign import CellResult
 from rpod_campaign.engine.report.charts import curve_figure, rate_figure
 from rpod_campaign.engine.report.content import Section, Table
 from rpod_campaign.engine.report.numbers import in_world, number, percent, word
-from rpod_campaign.engine.report.statistics import Rate, mean, rate
+from rpod_campaign.engine.report.statistics import Rate, mean, rate_of
 from rpod_campaign.template_tau.trial import TAU, TauCell
 from rpod_pose.lidar.paper_2015.tau_sweep import TauSweep
 
@@ -94,14 +94,13 @@ def _figures(results: Results) -> tuple[Any, ...]:
         for result in results
     }
     return (
-        rate_figure(success, x_title="tau", y_title="success rate"),
+        rate_figure(success, x_title="tau"),
         curve_figure(excluded, x_title="tau", y_title="share of the templates left out"),
     )
 
 
 def _success(result: CellResult[TauCell], tau: float) -> Rate:
-    rows = result.rows.filter(pl.col(TAU) == tau)
-    return rate(int(rows["success"].sum()), rows.height)
+    return rate_of(result.rows.filter(pl.col(TAU) == tau), "success")
 
 
 _NAMES = ("target", "step, deg", "range, m")

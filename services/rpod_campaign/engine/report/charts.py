@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
+import polars as pl
 
 from rpod_analysis.report.figures import ACCENT, BAD, QUIET, styled
 from rpod_campaign.engine.report.numbers import NONE
@@ -22,10 +23,9 @@ def rate_figure(
     lines: Mapping[str, Mapping[float, Rate]],
     *,
     x_title: str,
-    y_title: str,
     printed: Mapping[str, Mapping[float, float]] | None = None,
 ) -> go.Figure:
-    """Return a figure of shares over a parameter, with Wilson intervals; open diamonds are the paper's."""
+    """Return a figure of success over a parameter, with Wilson intervals; open diamonds are the paper's."""
     figure = go.Figure()
     for index, (name, points) in enumerate(lines.items()):
         colour = COLOURS[index % len(COLOURS)]
@@ -59,7 +59,7 @@ def rate_figure(
                 )
             )
     figure.update_xaxes(title_text=x_title)
-    figure.update_yaxes(title_text=y_title)
+    figure.update_yaxes(title_text="success rate")
     return with_legend(figure, height=380)
 
 
@@ -92,6 +92,15 @@ def curve_figure(
     figure.update_xaxes(title_text=x_title, **_scale(log_x))
     figure.update_yaxes(title_text=y_title, **_scale(log_y))
     return with_legend(figure, height=360)
+
+
+def distribution_figure(errors_deg: Mapping[str, pl.Series]) -> go.Figure:
+    """Return the distributions of attitude errors, by name; a null is a trial without a pose."""
+    curves = {}
+    for name, errors in errors_deg.items():
+        known = errors.drop_nulls().sort().to_list()
+        curves[name] = (known, [(k + 1) / errors.len() for k in range(len(known))])
+    return curve_figure(curves, x_title="attitude error [deg]", y_title="share below", log_x=True)
 
 
 def _scale(logarithmic: bool) -> dict[str, Any]:

@@ -28,8 +28,11 @@ class Rate:
     @property
     def as_json(self) -> dict[str, Any]:
         """The share for JSON."""
-        interval = {"wilson_low": self.low, "wilson_high": self.high}
-        return {"count": self.count, "of": self.of, "rate": self.value, **interval}
+        return {"count": self.count, "of": self.of, **self.named("rate")}
+
+    def named(self, name: str) -> dict[str, float]:
+        """Return the share under a name, with its interval."""
+        return {name: self.value, "wilson_low": self.low, "wilson_high": self.high}
 
     def __str__(self) -> str:
         if not self.of:
@@ -43,6 +46,12 @@ def rate(count: int, of: int) -> Rate:
         return Rate(0, 0, float("nan"), float("nan"))
     interval = binomtest(count, of).proportion_ci(confidence_level=0.95, method="wilson")
     return Rate(count, of, float(interval.low), float(interval.high))
+
+
+def rate_of(rows: pl.DataFrame, condition: str | pl.Expr) -> Rate:
+    """Return the share of the rows that meet a condition, or in which a column is true."""
+    met = pl.col(condition) if isinstance(condition, str) else condition
+    return rate(int(rows.select(met.fill_null(value=False).sum()).item()), rows.height)
 
 
 def quantile(values: pl.Series, share: float) -> float | None:
