@@ -12,10 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import FloatArray, Vector3
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive
+from rpod_schemas.config.base import Config, Finite, Name, NonNegative, Positive
 from rpod_schemas.poses import Attitude, Pose, make_pose
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 TRUTH_RATE_HZ = 250.0
 """Rate of the truth, if the motion service is not configured otherwise, Hz."""

@@ -11,10 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import Matrix6
 from rpod_schemas.bounds import MOUNT_M
-from rpod_schemas.config.base import Config, NonNegative, in_place, load, write
+from rpod_schemas.config.base import Config, Count, Finite, NonNegative, in_place, load, write
 from rpod_schemas.poses import Pose, make_pose
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class MountEvidence(Config):
@@ -36,7 +34,7 @@ class MountEvidence(Config):
     """Its standard deviation, m."""
     depth_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.0
     """Correlation of this offset with the mount's position along the boresight."""
-    pairs: Annotated[int, Field(gt=0)]
+    pairs: Count
     """Number of pairs of poses of sensor and truth."""
     residual_m: NonNegative
     """RMS of the positions' residuals, m."""

@@ -5,10 +5,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.base import Config, NonNegative, Positive
+from rpod_schemas.config.base import Config, Count, NonNegative, Positive
 from rpod_schemas.config.sensor import MethodConfig
-
-Count = Annotated[int, Field(gt=0)]
 
 
 class TemplateMatchingConfig(MethodConfig):

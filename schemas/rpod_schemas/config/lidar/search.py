@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rpod_schemas.config.base import NonNegative, Positive, Share
+from rpod_schemas.config.base import Count, NonNegative, Positive, Share
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import (
     BUDGET,
@@ -19,8 +19,6 @@ from rpod_schemas.config.tuning import (
     Provenance,
     Tuning,
 )
-
-Count = Annotated[int, Field(gt=0)]
 
 
 class ScanModelConfig(Tuning):

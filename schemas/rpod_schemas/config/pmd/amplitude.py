@@ -8,9 +8,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.base import Config, Count, NonNegative, Positive, Share
 from rpod_schemas.config.pmd.lengths import chosen
-from rpod_schemas.config.pmd.methods import Count, IcpReverseCalibrationConfig
+from rpod_schemas.config.pmd.methods import IcpReverseCalibrationConfig
 from rpod_schemas.config.sensor import MethodConfig
 
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rpod_schemas.config.base import NonNegative, Positive, Share
+from rpod_schemas.config.base import Count, NonNegative, Positive, Share
 from rpod_schemas.config.tuning import BY_HAND, OF_CAMERA, POPULATION_PMD, Limit, Provenance, Tuning
 
 
@@ -35,14 +35,14 @@ class PmdCheckConfig(Tuning):
     """Side of a square patch, coarse pixels; about a tenth of a metre if no depth is lost, because a
     misplaced detail is small."""
     most_in_patch: Annotated[
-        Annotated[int, Field(gt=0)],
+        Count,
         Limit("inconsistent_pixels_in_patch"),
         POPULATION_PMD,
     ] = 7
     """Largest number of inconsistent pixels in one patch. If one pixel in 30 is inconsistent, more than seven
     of 25 are so in one patch of a million."""
     most_missing: Annotated[
-        Annotated[int, Field(gt=0)],
+        Count,
         Limit("missing_pixels_in_patch"),
         POPULATION_PMD,
     ] = 3

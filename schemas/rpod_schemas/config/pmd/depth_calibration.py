@@ -14,9 +14,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy import constants
 
 from rpod_schemas.arrays import FloatArray
-from rpod_schemas.config.base import Config, NonNegative, Positive, in_place, load, write
+from rpod_schemas.config.base import Config, Count, Finite, NonNegative, Positive, in_place, load, write
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 _STEEPEST = 0.5
 """Largest change of the error with the distance, m/m; above 1 two distances would be measured as one."""
 
@@ -31,7 +30,7 @@ class Harmonic(Config):
 
     modulation_frequency_hz: Positive
     """Modulation frequency f whose distances have this error, Hz."""
-    order: Annotated[int, Field(gt=0)]
+    order: Count
     """Number k of waves in the unambiguous range."""
     cos_m: Finite
     """Amplitude of the cosine, m; the wave is subtracted from every distance."""
@@ -58,9 +57,9 @@ class CalibrationEvidence(Config):
     """Names of the logs from which the calibration was derived."""
     target: str
     """Name of the target whose surface was the reference."""
-    frames: Annotated[int, Field(gt=0)]
+    frames: Count
     """Number of frames with truth and usable pixels."""
-    pixels: Annotated[int, Field(gt=0)]
+    pixels: Count
     """Number of pixels that were used."""
     range_m: tuple[Positive, Positive]
     """Least and greatest true distance, m; the calibration is valid between them."""

@@ -5,7 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from rpod_schemas.config.base import NonNegative, Positive, Share
+from rpod_schemas.config.base import Count, NonNegative, Positive, Share
 from rpod_schemas.config.pmd.check import PmdCheckConfig
 from rpod_schemas.config.pmd.depth_calibration import DepthCalibration
 from rpod_schemas.config.sensor import MethodConfig
@@ -22,7 +22,6 @@ from rpod_schemas.config.tuning import (
     Tuning,
 )
 
-Count = Annotated[int, Field(gt=0)]
 CHOICE = Provenance(
     "numerics", "it chooses the start that is tried first; the next one is tried where its result is refused"
 )

@@ -5,12 +5,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rpod_schemas.config.acceptance import AcceptanceConfig
-from rpod_schemas.config.base import Config, NonNegative, Positive, Share
+from rpod_schemas.config.base import Config, Count, NonNegative, Positive, Share
 from rpod_schemas.config.pmd.lengths import SIGMAS, MatchLengths, chosen
 from rpod_schemas.config.sensor import MethodConfig
 from rpod_schemas.config.tuning import BUDGET, BY_HAND, Tuning
-
-Count = Annotated[int, Field(gt=0)]
 
 
 class DepthImageConfig(Config):
