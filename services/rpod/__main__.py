@@ -19,8 +19,8 @@ from rpod.campaign.verbs import campaign_verbs
 from rpod.deferred_imports import import_when_used
 from rpod.driver.verbs import driver_verbs
 from rpod.host_verbs import host_verbs
-from rpod.log_options import NoLimits
 from rpod.logs.verbs import log_verbs
+from rpod.options import JsonOption, NoLimits
 from rpod.pki.verbs import pki_verbs
 from rpod.reloading import run_reloading, with_bus
 from rpod.target.verbs import target_verbs
@@ -368,7 +368,7 @@ def compile_kernels() -> None:
 
 @app.command()
 def bench(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure the speed of this machine."""
     from rpod.bench import bench_command

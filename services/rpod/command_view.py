@@ -8,7 +8,7 @@ from threading import Event
 from typing import Any
 
 from rpod.errors import failed
-from rpod.log_options import check_part
+from rpod.options import check_part
 from rpod_analysis import AnalysisError, Log, open_log
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.replay.log_view import Part, show_log

@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
+from rpod.options import JsonOption
+
 host_verbs = typer.Typer(rich_markup_mode=None)
 
 FacilityArgument = Annotated[
     Path, typer.Argument(metavar="FACILITY", help="The facility's file: YAML, TOML or JSON.")
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object only.")]
 
 
 @host_verbs.command()

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from rpod.log_options import NoLimits
+from rpod.options import JsonOption, NoLimits
 
 
 class _WithOldForm(TyperGroup):
@@ -42,7 +42,6 @@ DepthSigmaOption = Annotated[
     ),
 ]
 OutOption = Annotated[Path | None, typer.Option("--out", help="File to write.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object only.")]
 
 
 @calibrate_verbs.callback()

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from rpod.options import JsonOption
+
 driver_verbs = typer.Typer(
     name="driver",
     help="Run the driver of a sensor, check it, or write a new one.",
@@ -31,7 +33,7 @@ SearchOption = Annotated[
 
 @driver_verbs.command("list")
 def list_drivers(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List the drivers for 'rpod driver run', and how each was tested."""
     from rpod.driver.command import list_command
@@ -84,7 +86,7 @@ def check(
     against: AgainstOption = None,
     search: SearchOption = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the router as long as it takes.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Watch a live sensor and say what is wrong. Exit 0 if nothing is, 1 if a line fails."""
     from rpod.driver.check import CheckOptions, check_command

@@ -16,9 +16,9 @@ from rich.table import Table
 
 from rpod import __version__
 from rpod.errors import failed
-from rpod.log_options import check_part
+from rpod.options import check_part
 from rpod_analysis import AnalysisError, Log, open_log
-from rpod_analysis.replay import Playback, Played, compare, configured_estimator, play, replay
+from rpod_analysis.replay import Playback, Played, Replayed, compare, configured_estimator, play, replay
 from rpod_analysis.scoring.row_store import Column
 from rpod_analysis.scoring.totals import summarise_durations
 from rpod_runtime import Node
@@ -150,15 +150,16 @@ def navigator_command(
         _check_playback(Playback(start_s=start_s, end_s=end_s))
         given = load(EstimatorConfig, config) if config else None
         with open_log(*logs) as opened:
-            report = _replay(
+            replayed = replay(
                 opened,
                 given or configured_estimator(opened),
-                as_live=as_live,
                 out=out,
+                as_live=as_live,
                 start_s=start_s,
                 end_s=end_s,
                 follow=_Progress(opened, quiet=as_json),
             )
+            report = _report(opened, replayed, as_live=as_live)
     except (ConfigurationError, AnalysisError) as error:
         return failed("replay", error)
     if as_json:
@@ -182,25 +183,7 @@ class _Progress:
             print(f"{time_s:.1f} of {self._length_s:.1f} s of the log are replayed", file=sys.stderr)
 
 
-def _replay(
-    opened: Log,
-    config: EstimatorConfig,
-    *,
-    as_live: bool,
-    out: Path | None,
-    start_s: float,
-    end_s: float | None,
-    follow: Callable[[float], object],
-) -> ReplayReport:
-    replayed = replay(
-        opened,
-        config,
-        out=out,
-        as_live=as_live,
-        start_s=start_s,
-        end_s=end_s,
-        follow=follow,
-    )
+def _report(opened: Log, replayed: Replayed, *, as_live: bool) -> ReplayReport:
     compared = compare(opened, replayed)
     return ReplayReport(
         log=str(opened.paths[0]),

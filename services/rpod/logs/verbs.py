@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rpod.log_options import NoLimits
+from rpod.options import JsonOption, NoLimits
 
 log_verbs = typer.Typer()
 
@@ -72,7 +72,7 @@ def replay(
     clock: Annotated[
         bool, typer.Option("--clock/--no-clock", help="Publish the time of the log, with --bus.")
     ] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
     _no_limits: NoLimits = False,
 ) -> None:
     """Replay a log through the estimator, or onto the bus.
@@ -101,7 +101,7 @@ def verify_log(
         Path | None,
         typer.Option("--authority", help="The authority's certificate, authority.pem of any credentials."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Compare logs with their digest chains. Exit 0 if they are as the logger wrote them."""
     from rpod.logs.verify import verify_log_command
@@ -115,7 +115,7 @@ def recover(
     out: Annotated[
         Path | None, typer.Option("--out", help="File to write; <log>.recovered.mcap by default.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
     _no_limits: NoLimits = False,
 ) -> None:
     """Recover a readable log from a truncated or damaged one."""

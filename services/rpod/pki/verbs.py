@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from rpod.options import JsonOption
+
 pki_verbs = typer.Typer(
     name="pki",
     no_args_is_help=True,
@@ -13,7 +15,6 @@ pki_verbs = typer.Typer(
 
 FolderOption = Annotated[Path, typer.Option("--pki", help="Folder of the authority and of all credentials.")]
 DaysOption = Annotated[float, typer.Option("--days", help="Validity, days.", min=1e-5, max=36500)]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object only.")]
 HostOption = Annotated[
     list[str] | None,
     typer.Option("--host", help="Name or address under which clients reach the router; may be repeated."),

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from rpod.options import JsonOption
+
 target_verbs = typer.Typer(
     name="target",
     no_args_is_help=True,
@@ -72,7 +74,7 @@ def new(
     out: Annotated[
         Path | None, typer.Option("--out", help="Parameter file to write; <cad>.yaml by default.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a target's parameter file from a CAD file.
 
@@ -116,7 +118,7 @@ def check(
             min=1,
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Describe a target as rpod sees it, and draw it.
 
@@ -149,7 +151,7 @@ def errors(
     write: Annotated[
         bool, typer.Option("--write", help="Write the result into the parameter file, as camera_errors.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object only.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure errors of a target's edges in images.
 

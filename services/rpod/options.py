@@ -1,4 +1,4 @@
-"""Options that the verbs that read logs share."""
+"""Options that several verbs share, and the check of the part of a log that a verb reads."""
 
 from math import inf
 from typing import Annotated
@@ -15,6 +15,9 @@ def check_part(start_s: float, end_s: float | None) -> None:
             raise ConfigurationError(name, "", f"is {time_s:g}; give seconds from the log's beginning")
     if end_s is not None and end_s <= start_s:
         raise ConfigurationError("--to", "", f"is {end_s:g}, not after --from {start_s:g}; give a later time")
+
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object only.")]
 
 
 def _lift(context: typer.Context, value: bool) -> None:
