@@ -14,7 +14,7 @@ from rpod_analysis.log.accounting import Command, SensorFlow
 from rpod_analysis.log.completeness import CheckedCompleteness, check_log_completeness
 from rpod_analysis.log.targets import logged_targets
 from rpod_analysis.log.unreadable import UnreadableKind
-from rpod_analysis.report.figures import error_figure, state_figure
+from rpod_analysis.report.figures import PLOT, error_figure, state_figure
 from rpod_analysis.report.figures_path import path_figure
 from rpod_analysis.report.figures_statistics import consistency_figure, timing_figure
 from rpod_analysis.report.plot_data import PlotData
@@ -29,7 +29,6 @@ from rpod_schemas.logs import SOFTWARE, TopicCount
 from rpod_schemas.summary import Summary
 from rpod_target import Target, TargetError, load_target
 
-_PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 _MOST_REASONS = 8
 _UNKNOWN = "No wireframe, and errors as if the target had no symmetry"
 
@@ -144,7 +143,7 @@ def figure_html(figure: go.Figure | None, identity: str) -> str:
     """Return a figure as HTML without plotly itself; empty if there is no figure."""
     if figure is None:
         return ""
-    options: dict[str, Any] = {"config": _PLOT, "full_html": False, "include_plotlyjs": False}
+    options: dict[str, Any] = {"config": PLOT, "full_html": False, "include_plotlyjs": False}
     return str(plotly.io.to_html(figure, div_id=identity, **options))
 
 

@@ -21,6 +21,8 @@ BAD = "#d9534f"
 QUIET = "#8b949e"
 SEVERAL = (ACCENT, "#e8833a", "#2aa876", "#a05fd6", "#d6487e", "#8a6d3b", "#17a2b8", "#6c757d")
 """Colours of the logs in a figure of several logs, in their order."""
+PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
+"""Plotly's configuration of each figure in a page."""
 _BAND = "rgba(139,148,158,0.22)"
 _FAULT = "rgba(217,83,79,0.16)"
 _MOST_BANDS = 100

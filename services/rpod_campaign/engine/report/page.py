@@ -8,10 +8,9 @@ import plotly.io
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from rpod_analysis.report.figures import PLOT
 from rpod_campaign.engine.report.content import Section
 from rpod_campaign.engine.run import Prepared
-
-_PLOT = {"displaylogo": False, "responsive": True, "modeBarButtonsToRemove": ["lasso2d", "select2d"]}
 
 
 def write_page(
@@ -37,4 +36,4 @@ def write_page(
 
 
 def _html(figure: Any) -> str:
-    return str(plotly.io.to_html(figure, config=_PLOT, full_html=False, include_plotlyjs=False))
+    return str(plotly.io.to_html(figure, config=PLOT, full_html=False, include_plotlyjs=False))
