@@ -136,7 +136,7 @@ class PmdEmulator:
             raise PoseCountError(len(poses), self._config.sub_exposures)
         out = out or PmdExposure.of(self._config)
         light = self._light(poses, sun_W_m2)
-        convert(light, self._noise(frame), self._electronics, samples=out.samples, full=self._full)
+        convert(light, self._noise(frame), self._electronics, out.samples, self._full)
         cosine = self._centres.components[2]
         reconstruct(out.samples, self._config, cosine=cosine, full=self._full, out=out.images)
         return PmdExposure(out.images, out.samples, light.time_share * self._config.integration_time_s)

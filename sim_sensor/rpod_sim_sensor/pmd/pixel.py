@@ -60,26 +60,6 @@ class Noise(NamedTuple):
     """First index in the pool for each row, shape (H,), at most P - W K."""
 
 
-def convert(
-    light: Light,
-    noise: Noise,
-    electronics: Electronics,
-    *,
-    samples: NDArray[np.uint16],
-    full: NDArray[np.bool_],
-) -> None:
-    """Fill Q1..Q4 and whether a tap of the pixel was full.
-
-    Args:
-        light: light of the frame.
-        noise: shot and read noise of the difference of the taps.
-        electronics: the chip.
-        samples: output, counts from an offset of 32768, shape (K / 4, H, W, 4).
-        full: output, pixels with a full tap, shape (H, W).
-    """
-    _convert(light, noise, electronics, samples, full)
-
-
 class _Taken(NamedTuple):
     """Light and noise of a row of pixels in one sub-exposure."""
 
@@ -94,14 +74,22 @@ class _Taken(NamedTuple):
 
 
 @kernel
-def _convert(
+def convert(
     light: Light,
     noise: Noise,
     electronics: Electronics,
     samples: NDArray[np.uint16],
     full: NDArray[np.bool_],
 ) -> None:
-    """Fill samples and full pixels; arguments as in ``convert``."""
+    """Fill Q1..Q4 and whether a tap of the pixel was full.
+
+    Args:
+        light: light of the frame.
+        noise: shot and read noise of the difference of the taps.
+        electronics: the chip.
+        samples: output, counts from an offset of 32768, shape (K / 4, H, W, 4).
+        full: output, pixels with a full tap, shape (H, W).
+    """
     modulated_e, charge_e, stray_e, share = light
     count, height, width = modulated_e.shape
     charge, sigma, fullest = np.empty(width), np.empty(width), np.empty(width)
