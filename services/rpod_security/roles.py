@@ -209,21 +209,6 @@ class Member:
         return (*_VERBS, *ROLES[self.role].serves)
 
     @property
-    def watches(self) -> bool:
-        """Whether it may watch which publishers there are."""
-        return ROLES[self.role].watches
-
-    @property
-    def is_sole(self) -> bool:
-        """Whether it may ask for another service of its name."""
-        return ROLES[self.role].is_sole
-
-    @property
-    def sole_topics(self) -> tuple[Topic, ...]:
-        """Topics of which it may watch whether others publish them."""
-        return ROLES[self.role].sole_topics
-
-    @property
     def asks_all(self) -> bool:
         """Whether it may ask all services at once for their status."""
         return bool({"status", ANY} & set(ROLES[self.role].asks.get(ANY, ())))

@@ -32,7 +32,7 @@ from rpod_schemas.topics import (
     Topic,
 )
 from rpod_security.errors import RulesError
-from rpod_security.roles import ANY, LINK, ROUTER, Member
+from rpod_security.roles import ANY, LINK, ROLES, ROUTER, Member
 
 Flow = Literal["ingress", "egress"]
 Grant = tuple[Flow, tuple[str, ...], list[str]]
@@ -151,9 +151,10 @@ class Rules:
     def _reading(self, member: Member) -> list[Grant]:
         read = self._read[member.name]
         caches = _under(read, _PUBLISHERS)
-        tokens = [publisher_tokens(self._keys)] if member.watches else []
-        tokens += [publisher_tokens(self._keys, topic) for topic in member.sole_topics]
-        tokens += [token_pattern(self._keys, "NN", member.name)] if member.is_sole else []
+        role = ROLES[member.role]
+        tokens = [publisher_tokens(self._keys)] if role.watches else []
+        tokens += [publisher_tokens(self._keys, topic) for topic in role.sole_topics]
+        tokens += [token_pattern(self._keys, "NN", member.name)] if role.is_sole else []
         return [
             ("ingress", ("declare_subscriber",), read + caches),
             ("ingress", ("query",), _under(read, _CACHES)),
@@ -172,7 +173,7 @@ class Rules:
         ]
         if member.asks_all:
             asked.append(self._keys.control(ANY, "status", member.name))
-        elif member.is_sole:
+        elif ROLES[member.role].is_sole:
             asked.append(self._keys.control(member.name, "status", member.name))
         services_served = [self._service(each) for each in self._services if each.server == member.name]
         services_asked = [self._service(each) for each in self._services if each.client == member.name]

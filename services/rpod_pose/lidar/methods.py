@@ -159,11 +159,6 @@ class ScanFrames:
         return self._view.seen(frame).range_m.clip(0.0).astype(np.float32)
 
 
-def scan_frames(_sensor: LidarInput, pattern: ScanPattern) -> ScanFrames:
-    """Return the functions that separate a LIDAR's scans into the target and other things."""
-    return ScanFrames(pattern)
-
-
 _FEW_RETURNS = 24
 """Number of returns in the second ideal scan. Numerics: it is below ``projective_icp.MANY``, so that the pose
 is the mean of a sampled posterior, whose code is then compiled too."""
@@ -193,7 +188,7 @@ LIDAR_METHODS = KindMethods(
     frames=ideal_scan,
     setup=known_pattern,
     masked=masked,
-    separation=scan_frames,
+    separation=lambda _sensor, pattern: ScanFrames(pattern),
     tracker=make_tracker,
     points=lambda scan: scan.returns_m,
     comparable=True,

@@ -156,11 +156,6 @@ def masked(frame: PmdFrame, hit: Callable[[Float32Array], NDArray[np.bool_]]) ->
     return frame.model_copy(update=images)
 
 
-def frames(sensor: PmdInput, _: object) -> PmdFrames:
-    """Return the separation of a camera's frames, which does not depend on its setup."""
-    return frames_of(sensor)
-
-
 def _places_m(frame: PmdFrame) -> Float32Array | None:
     """Return the point of each pixel, optical axes, shape (H, W, 3), m; NaN without depth.
 
@@ -188,7 +183,7 @@ PMD_METHODS = KindMethods(
     make=make,
     frames=ideal_frames,
     masked=masked,
-    separation=frames,
+    separation=lambda sensor, _setup: frames_of(sensor),
     tracker=make_tracker,
     points=points,
 )
