@@ -11,15 +11,19 @@ import zenoh
 
 from rpod_runtime import Node
 from rpod_runtime.bus.session import free_endpoint, open_client, open_router
+from rpod_schemas.config.facility.rights import SensorGrant
 from rpod_schemas.config.service import BusConfig, RouterConfig, ServiceConfig
 from rpod_schemas.topics import Namespace
 from rpod_security.authority import Authority
 from rpod_security.facility import named
-from rpod_security.roles import ROLES, ROUTER, Member, Sensor
+from rpod_security.roles import ROLES, ROUTER, Member
 from rpod_security.rules import RosService, Rules
 
 KEYS = Namespace()
-SENSORS = {"emulator": (Sensor("pmd", "pmd"), Sensor("lidar", "lidar")), "driver": (Sensor("cam", "pmd"),)}
+SENSORS = {
+    "emulator": (SensorGrant(kind="pmd", name="pmd"), SensorGrant(kind="lidar", name="lidar")),
+    "driver": (SensorGrant(kind="pmd", name="cam"),),
+}
 """Sensors that members publish; the driver's is another than the emulator's."""
 LEFT_OUT = ("replay", "link")
 """Roles that no facility has beside those whose place they take."""

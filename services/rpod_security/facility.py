@@ -9,13 +9,13 @@ from rpod_schemas.config.emulator import EmulatorConfig, MotionServiceConfig
 from rpod_schemas.config.estimator import EstimatorConfig
 from rpod_schemas.config.facility.logger import LoggerConfig
 from rpod_schemas.config.facility.proxy import ProxyConfig
-from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig
+from rpod_schemas.config.facility.rights import MemberConfig, RightsConfig, SensorGrant
 from rpod_schemas.config.facility.view import ViewConfig
 from rpod_schemas.config.service import ServiceConfig
 from rpod_schemas.errors import ConfigurationError
 from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
-from rpod_security.roles import LINK, ROLES, Member, Sensor, needs_sensors
+from rpod_security.roles import LINK, ROLES, Member, needs_sensors
 from rpod_security.rules import OtherHost, RosService, Rules
 
 MODELS: dict[str, type[ServiceConfig]] = {
@@ -33,13 +33,15 @@ MODELS: dict[str, type[ServiceConfig]] = {
 def member_of(name: str, role: str, config: ServiceConfig | None = None) -> Member:
     """Return a member with the rights that follow from its service's configuration."""
     extra: tuple[str, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[SensorGrant, ...] = ()
     if isinstance(config, EstimatorConfig):
-        sensors = tuple(Sensor(each.name, each.kind, each.source) for each in config.sensors)
+        sensors = tuple(
+            SensorGrant(kind=each.kind, name=each.name, source=each.source) for each in config.sensors
+        )
     elif isinstance(config, EmulatorConfig):
-        sensors = tuple(Sensor(each.name, each.kind) for each in config.sensors)
+        sensors = tuple(SensorGrant(kind=each.kind, name=each.name) for each in config.sensors)
     elif isinstance(config, DriverConfig):
-        sensors = (Sensor(config.name, config.kind),)
+        sensors = (SensorGrant(kind=config.kind, name=config.name),)
     elif isinstance(config, LoggerConfig):
         extra = config.record_extra
     prefix = config.prefix if isinstance(config, EstimatorConfig) else "estimate"
@@ -72,9 +74,7 @@ def _member(name: str, member: MemberConfig, rights: RightsConfig, folder: Path,
         raise ConfigurationError(
             source, "sensors", f"is empty, but a {member.role} publishes sensors; name them, or give config"
         )
-    return Member(
-        name, member.role, tuple(Sensor(each.name, each.kind, each.source) for each in member.sensors)
-    )
+    return Member(name, member.role, member.sensors)
 
 
 def _by_configuration(

@@ -7,7 +7,7 @@ readers, and the queries between roles, stand here.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rpod_schemas.config.source import SourceConfig
+from rpod_schemas.config.facility.rights import SensorGrant
 from rpod_schemas.sensors import sensor_kind, sensor_kinds
 from rpod_schemas.topics import (
     BODY,
@@ -143,29 +143,13 @@ _OF_ALL = DIAGNOSTICS, ROSOUT, PARAMETER_EVENTS
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """A sensor that a member publishes or reads."""
-
-    name: str
-    kind: str
-    source: SourceConfig = SourceConfig()  # noqa: RUF009 - frozen
-
-    def topics(self) -> tuple[Topic, ...]:
-        """Return its topics, as its driver publishes them."""
-        kind = sensor_kind(self.kind)
-        parts = {part.topic for part in kind.parts.values()}
-        others = (topic.of(self.name) for topic in kind.topics if topic not in parts)
-        return (*kind.part_topics(self.name, self.source).values(), *others)
-
-
-@dataclass(frozen=True)
 class Member:
     """Somebody on the bus, with a certificate of this name."""
 
     name: str
     role: str
-    sensors: tuple[Sensor, ...] = ()
-    """Sensors of its configuration."""
+    sensors: tuple[SensorGrant, ...] = ()
+    """Sensors that it publishes or reads."""
     prefix: str = "estimate"
     """First part of the topics of the estimates that it publishes."""
     extra: tuple[str, ...] = ()
@@ -200,7 +184,7 @@ class Member:
     def _of_sensors(self) -> list[Topic]:
         """Return the topics of the configured sensors; those of all installed kinds if none is configured."""
         if self.sensors:
-            return [topic for sensor in self.sensors for topic in sensor.topics()]
+            return [topic for sensor in self.sensors for topic in _topics_of(sensor)]
         return [topic.of(ANY) for kind in sensor_kinds() for topic in kind.topics]
 
     @property
@@ -218,6 +202,14 @@ class Member:
         asked = ROLES[self.role].asks
         verbs = asked.get(other.role, asked.get(ANY, ()))
         return other.serves if ANY in verbs else tuple(verb for verb in verbs if verb in other.serves)
+
+
+def _topics_of(sensor: SensorGrant) -> tuple[Topic, ...]:
+    """Return the topics of a sensor, as its driver publishes them."""
+    kind = sensor_kind(sensor.kind)
+    parts = {part.topic for part in kind.parts.values()}
+    others = (topic.of(sensor.name) for topic in kind.topics if topic not in parts)
+    return (*kind.part_topics(sensor.name, sensor.source).values(), *others)
 
 
 def needs_sensors(role: str) -> bool:

@@ -9,7 +9,7 @@ from rpod_logger.selection import patterns
 from rpod_schemas.config.base import check, load
 from rpod_schemas.config.driver import DriverConfig
 from rpod_schemas.config.estimator import EstimatorConfig
-from rpod_schemas.config.facility.rights import RightsConfig
+from rpod_schemas.config.facility.rights import RightsConfig, SensorGrant
 from rpod_schemas.errors import ConfigurationError
 from rpod_schemas.rmw.wire import publisher_tokens, token_pattern
 from rpod_schemas.topics import SENT_BY, TOPICS, TRUTH_TOPICS, Namespace
@@ -17,7 +17,7 @@ from rpod_security.certificates import Identity
 from rpod_security.errors import RulesError
 from rpod_security.facility import member_of, named, other_host
 from rpod_security.facility import rules_of as rules_of_rights
-from rpod_security.roles import ROLES, Member, Sensor
+from rpod_security.roles import ROLES, Member
 from rpod_security.rules import OtherHost, Rules
 from rpod_view.scene import pose_topics, sensor_topics
 
@@ -116,7 +116,7 @@ def test_an_estimator_with_another_prefix_has_the_topics_of_its_own():
     "rival",
     [
         Member("rival", "estimator"),
-        Member("rival", "driver", (Sensor("pmd", "pmd"),)),
+        Member("rival", "driver", (SensorGrant(kind="pmd", name="pmd"),)),
         Member("rival", "estimator", prefix="truth"),
     ],
 )

@@ -18,7 +18,7 @@ model point matches count by the target's distance field. Weights are robust; ra
 narrow from step to step.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 from typing import NamedTuple
 
@@ -158,52 +158,7 @@ def find_matches(
     return matched, kind
 
 
-class Matches(NamedTuple):
-    """Model points with their matches, as the kernels take them."""
-
-    model_m: FloatArray
-    """Model points, target axes, shape (N, 3)."""
-    normals: FloatArray
-    """Normals at the model points, target axes, shape (N, 3)."""
-    measured_m: FloatArray
-    """Measured points, target axes, shape (N, 3)."""
-    kind: NDArray[np.uint8]
-    """Kind of each match: NO_MATCH, DIRECT or NEAREST, shape (N,)."""
-
-
-@kernel
-def match_equations(
-    matches: Matches, scale: float, outline_weight: float
-) -> tuple[FloatArray, FieldEvidence]:
-    """Return the sums, shape (35,), of residuals along the normal, or along the match, and their evidence.
-
-    Args:
-        matches: N model points with their matches.
-        scale: Geman-McClure scale, m, above 0.
-        outline_weight: weight of a nearest match relative to a direct one.
-    """
-    sums, weights, squares, inliers, c2 = no_sums(), 0.0, 0.0, 0, scale * scale
-    for n in range(matches.model_m.shape[0]):
-        if matches.kind[n] == NO_MATCH:
-            continue
-        s, axis = matches.measured_m[n], matches.normals[n]
-        e = s - matches.model_m[n]
-        relative = 1.0
-        if matches.kind[n] == NEAREST:
-            axis, relative = e / max(np.sqrt((e * e).sum()), 1e-9), outline_weight
-        residual = (axis * e).sum()
-        weight = relative * geman_mcclure(residual * residual, c2)
-        normal, place = Vector(axis[0], axis[1], axis[2]), Vector(s[0], s[1], s[2])
-        add_residual(sums, normal, place, residual, weight)
-        weights += weight
-        if residual * residual < c2:
-            inliers += 1
-            squares += residual * residual
-    return sums, FieldEvidence(weights, squares, inliers, float(inliers))
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
+class Pairs(NamedTuple):
     """Visible model points with their matches."""
 
     model_m: FloatArray
@@ -211,20 +166,21 @@ class Pairs:
     normals: FloatArray
     """Normals at the model points, target axes, shape (N, 3)."""
     measured_m: FloatArray
-    """Measured points, sensor axes, shape (N, 3)."""
+    """Measured points, sensor axes, or target axes in ``match_equations``, shape (N, 3)."""
     kind: NDArray[np.uint8]
     """Kind of each match: NO_MATCH, DIRECT or NEAREST, shape (N,)."""
 
-    def __len__(self) -> int:
+    @property
+    def found(self) -> int:
+        """Number of model points that have a match."""
         return int(np.count_nonzero(self.kind))
 
     def equations(
         self, T_sensor_target: RigidTransform, *, scale_m: float, outline_weight: float
     ) -> NormalEquations:
         """Return the normal equations at a pose."""
-        measured_m = T_sensor_target.inv().apply(self.measured_m)
-        matches = Matches(self.model_m, self.normals, measured_m, self.kind)
-        sums, found = match_equations(matches, scale_m, outline_weight)
+        in_target = self._replace(measured_m=T_sensor_target.inv().apply(self.measured_m))
+        sums, found = match_equations(in_target, scale_m, outline_weight)
         return NormalEquations.of(
             sums, weight=found.weight, squares_m2=found.squares_m2, inliers=found.inliers
         )
@@ -236,6 +192,35 @@ class Pairs:
         U, _, Vt = np.linalg.svd((measured - measured.mean(axis=0)).T @ (model - model.mean(axis=0)))
         R = Rotation.from_matrix(U @ np.diag((1.0, 1.0, np.linalg.det(U @ Vt))) @ Vt)
         return RigidTransform.from_components(measured.mean(axis=0) - R.apply(model.mean(axis=0)), R)
+
+
+@kernel
+def match_equations(pairs: Pairs, scale: float, outline_weight: float) -> tuple[FloatArray, FieldEvidence]:
+    """Return the sums, shape (35,), of residuals along the normal, or along the match, and their evidence.
+
+    Args:
+        pairs: N model points with their matches, target axes.
+        scale: Geman-McClure scale, m, above 0.
+        outline_weight: weight of a nearest match relative to a direct one.
+    """
+    sums, weights, squares, inliers, c2 = no_sums(), 0.0, 0.0, 0, scale * scale
+    for n in range(pairs.model_m.shape[0]):
+        if pairs.kind[n] == NO_MATCH:
+            continue
+        s, axis = pairs.measured_m[n], pairs.normals[n]
+        e = s - pairs.model_m[n]
+        relative = 1.0
+        if pairs.kind[n] == NEAREST:
+            axis, relative = e / max(np.sqrt((e * e).sum()), 1e-9), outline_weight
+        residual = (axis * e).sum()
+        weight = relative * geman_mcclure(residual * residual, c2)
+        normal, place = Vector(axis[0], axis[1], axis[2]), Vector(s[0], s[1], s[2])
+        add_residual(sums, normal, place, residual, weight)
+        weights += weight
+        if residual * residual < c2:
+            inliers += 1
+            squares += residual * residual
+    return sums, FieldEvidence(weights, squares, inliers, float(inliers))
 
 
 class ReverseCalibrationIcp:
@@ -302,8 +287,8 @@ class ReverseCalibrationIcp:
         """Return the progress after one more iteration."""
         T, width = progress.T_sensor_target, self._width(progress.iterations)
         pairs = self._paired(image, shown, T, width, lengths)
-        if len(pairs) < self._config.min_matches:
-            reason = f"{len(pairs)} model points matched, {self._config.min_matches} needed"
+        if pairs.found < self._config.min_matches:
+            reason = f"{pairs.found} model points matched, {self._config.min_matches} needed"
             return replace(progress, reason=reason)
         if self._slides:
             scale_m = width * lengths.scale_m
