@@ -89,7 +89,10 @@ def bus_command(
             topics=tuple((options.topics or "").split(",")) if options.topics else (),
             clock=options.clock,
         )
-        _check_playback(playback)
+        if not 0.0 < playback.speed < inf:
+            reason = f"is {playback.speed:g}; give a number above 0, 1 for the recorded speed"
+            raise ConfigurationError("--speed", "", reason)
+        check_part(start_s, end_s)
         opened = open_log(*logs)
     except (ConfigurationError, AnalysisError) as error:
         return failed("replay", error)
@@ -117,13 +120,6 @@ def _service(options: BusOptions) -> ServiceConfig:
     return check(ServiceConfig, document, source="rpod replay")
 
 
-def _check_playback(playback: Playback) -> None:
-    if not 0.0 < playback.speed < inf:
-        reason = f"is {playback.speed:g}; give a number above 0, 1 for the recorded speed"
-        raise ConfigurationError("--speed", "", reason)
-    check_part(playback.start_s, playback.end_s)
-
-
 def _print_played(played: Played, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(asdict(played), indent=2))
@@ -147,7 +143,7 @@ def navigator_command(
 ) -> int:
     """Run the estimator over a log in this process, and compare; return the exit code."""
     try:
-        _check_playback(Playback(start_s=start_s, end_s=end_s))
+        check_part(start_s, end_s)
         given = load(EstimatorConfig, config) if config else None
         with open_log(*logs) as opened:
             replayed = replay(

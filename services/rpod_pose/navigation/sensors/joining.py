@@ -10,7 +10,6 @@ maximum solution separation, Navigation 35 (1988).
 
 from collections.abc import Set
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from rpod_pose.navigation.filter import is_consistent
 from rpod_pose.navigation.history import Applied, History, apply
@@ -46,33 +45,21 @@ class Separation:
         return self.including if self.joined else self.without
 
 
-class SeparationUpdate(NamedTuple):
-    """The filters after a frame of an established sensor."""
-
-    history: History
-    """The published filter."""
-    separation: Separation | None
-    nis: float
-    accepted: bool
-
-
 def update_separation(
     separation: Separation, measured: PoseMeasurement, config: FilterConfig
-) -> SeparationUpdate:
-    """Return the filters after a frame of an established sensor."""
+) -> tuple[Applied, Separation | None]:
+    """Return what a frame of an established sensor makes of the published filter, and of the separation."""
     without = apply(separation.without, measured, config)
     including = apply(separation.including, measured, config)
     if not (without.accepted or including.accepted):
         kept = replace(separation, without=without.history, including=including.history)
-        nis = (including if separation.joined else without).nis
-        return SeparationUpdate(kept.published, kept, nis, accepted=False)
+        return including if kept.joined else without, kept
     agree = including.accepted and _agree(without, including, measured.stamp_ns, config)
     if without.accepted and not agree:
-        return SeparationUpdate(without.history, None, without.nis, accepted=True)
+        return without, None
     alone = without if without.accepted else including
     kept = Separation(alone.history, including.history, separation.agreed + 1)
-    nis = (including if kept.joined else alone).nis
-    return SeparationUpdate(kept.published, kept, nis, accepted=True)
+    return including if kept.joined else alone, kept
 
 
 def _agree(without: Applied, including: Applied, stamp_ns: int, config: FilterConfig) -> bool:

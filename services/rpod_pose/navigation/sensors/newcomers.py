@@ -124,8 +124,9 @@ def applied(
     A refused pose stays in the history: an older measurement that arrives later may make it consistent.
     ``predicted`` is the history's prediction to the pose's stamp, if the caller has it already.
     """
-    if state.separation is None:
-        grown, nis, accepted = apply(history, measured, config, predicted)
-        return replace(state, history=grown), nis, accepted
-    after = update_separation(state.separation, measured, config)
-    return replace(state, history=after.history, separation=after.separation), after.nis, after.accepted
+    separation = state.separation
+    if separation is None:
+        update = apply(history, measured, config, predicted)
+    else:
+        update, separation = update_separation(separation, measured, config)
+    return replace(state, history=update.history, separation=separation), update.nis, update.accepted
