@@ -38,12 +38,12 @@ class ChainWriter:
     """Writes the chain of one log. Its methods raise ``OSError``."""
 
     def __init__(self, log: Path, *, key: Key | None = None, continues: Path | None = None) -> None:
-        self._file = chain_of(log)
+        file = chain_of(log)
         self._key = key
         self._digest = hashlib.sha256()
         self._size = self._sealed = 0
         self._last = FIRST
-        self._stream = self._file.open("xb", buffering=0)
+        self._stream = file.open("xb", buffering=0)
         try:
             self._append(
                 {
@@ -56,7 +56,7 @@ class ChainWriter:
             )
         except OSError:
             self.close()
-            self._file.unlink(missing_ok=True)
+            file.unlink(missing_ok=True)
             raise
 
     def add(self, data: bytes) -> None:

@@ -183,11 +183,11 @@ class Observer:
     def __init__(self, kind: str, name: str, options: Options | None = None) -> None:
         options = options or Options()
         self.seen = Observations(kind, name, options)
-        self._kind = sensor_kind(kind)
+        sensor = sensor_kind(kind)
         self._source = options.source
-        topics = self._kind.part_topics(name, options.source)
+        topics = sensor.part_topics(name, options.source)
         self._parts = {topic.name: part for part, topic in topics.items()}
-        info = self._kind.info
+        info = sensor.info
         self.info = None if info is None else info.of(name)
         self.streams: tuple[Topic, ...] = tuple(topics.values())
         """Topics of the parts of frames."""
@@ -199,8 +199,8 @@ class Observer:
         estimator = (ESTIMATE.under(against), STATUS.under(against)) if against else ()
         self.others: tuple[Topic, ...] = (TRUTH, DIAGNOSTICS, *estimator)
         """Topics of others, for comparison."""
-        self._assembler = assembler_of(self._kind, options.source)
-        self._reader = open_reader(self._kind, options.source)
+        self._assembler = assembler_of(sensor, options.source)
+        self._reader = open_reader(sensor, options.source)
         self._numbers = count()
         self._pair: tuple[int, int] = (-10, -(10**18))
         self._truth_ns = 0

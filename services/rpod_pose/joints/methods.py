@@ -98,7 +98,6 @@ class _Shared:
         self._searches = [(angle_rad, each.acquirer) for angle_rad, each in zip(angles, methods, strict=True)]
         self._deskew = methods[0].deskew
         self._compares = rigid.comparable and methods[0].likelihoods is not None
-        self._half_rad = 0.5 * STEP_RAD
         self._tracker_at = lru_cache(KEPT)(lambda key: rigid.tracker(posed(target, _unrounded(key))))
         self._methods_at = lru_cache(KEPT)(lambda key: rigid.methods(posed(target, _unrounded(key))))
 
@@ -147,7 +146,7 @@ class _Shared:
     def searches(self, expected: Angles) -> list[Acquirer[Any]]:
         """Return the searches at the angles that the first joint may have."""
         first = expected[self._first]
-        reach_rad = SPREAD * first.sigma_rad + self._half_rad
+        reach_rad = SPREAD * first.sigma_rad + 0.5 * STEP_RAD
         return [
             acquirer
             for angle_rad, acquirer in self._searches

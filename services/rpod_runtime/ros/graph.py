@@ -46,8 +46,8 @@ class RosGraph:
         self._name = node_name(instance)
         self._stack = ExitStack()
         full_name = ".".join((*keys.prefix.split("/"), self._name)).lstrip(".")
-        self._rosout = RosoutHandler(full_name, owner.publisher(ROSOUT).publish)
-        self._stack.callback(self._rosout.close)
+        rosout = RosoutHandler(full_name, owner.publisher(ROSOUT).publish)
+        self._stack.callback(rosout.close)
 
     def close(self) -> None:
         """Take all services off the bus."""
