@@ -100,6 +100,23 @@ class ScanFit:
         """Log likelihood of the scan at the pose, relative to that of an empty sky."""
         return self.agreement.log_likelihood
 
+    def evidence(self, returns: int) -> dict[str, float]:
+        """Return the numbers from which the belief in the pose follows, in a scan of some returns.
+
+        If on average a share s of the rays disagrees, a share up to s + 2 sqrt(s / returns) is expected in a
+        scan: two standard deviations more. ``disagreeing_share`` is the s for which the actual share is just
+        at this limit.
+        """
+        chance = sqrt(1.0 / returns)
+        return {
+            "deficit": self.deficit,
+            "deficit_sigma": self.deviation,
+            "deficit_sigmas": self.deficit / max(self.deviation, LEAST_DEVIATION),
+            "returns": float(returns),
+            "agreeing_share": self.agreement.share,
+            "disagreeing_share": (sqrt(1.0 - self.agreement.share + chance**2) - chance) ** 2,
+        }
+
 
 class ScanModel:
     """Statistical model of a sensor's scans of a target.
@@ -162,10 +179,10 @@ class ScanModel:
     def belief(self, seen: SeenScan, R: FloatArray, t: FloatArray, fit: ScanFit) -> Belief:
         """Return the belief in a pose whose fit is known; arguments as for ``fit``."""
         rays = fit.agreement
-        evidence = self._evidence(fit, seen.returns)
+        evidence = fit.evidence(seen.returns)
         if self._explains(evidence):
             return Belief(evidence=evidence)
-        pessimistic = self._evidence(self._pessimistic_fit(seen, R, t), seen.returns)
+        pessimistic = self._pessimistic_fit(seen, R, t).evidence(seen.returns)
         if self._explains(pessimistic):
             return Belief(evidence=pessimistic)
         reason = (
@@ -176,7 +193,7 @@ class ScanModel:
 
     def explains(self, seen: SeenScan, fit: ScanFit) -> bool:
         """Return whether a fit explains a scan with errors as large as sensor and target state."""
-        return self._explains(self._evidence(fit, seen.returns))
+        return self._explains(fit.evidence(seen.returns))
 
     def without_false_returns(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> SeenScan | None:
         """Return a scan without its false returns if a pose explains it then, otherwise None.
@@ -190,7 +207,7 @@ class ScanModel:
             return None
         likely = seen.without(lone.places[lone.of_surfaces :])
         fits = self.fit(likely, R, t), self._pessimistic_fit(likely, R, t)
-        explained = any(self._explains(self._evidence(fit, likely.returns)) for fit in fits)
+        explained = any(self._explains(fit.evidence(likely.returns)) for fit in fits)
         return seen.without(lone.places) if explained else None
 
     def _pessimistic_fit(self, seen: SeenScan, R: FloatArray, t: FloatArray) -> ScanFit:
@@ -246,23 +263,6 @@ class ScanModel:
         expected_m2 = self._uneven_m**2 * sums.products + sums.chance_m2
         noise = noise_over(seen.range_m, hits.range_m, hits.triangle, self.sigma_range_m)
         return Misfit(sums.product_m2 - expected_m2, sums.squares_m4, noise)
-
-    def _evidence(self, fit: ScanFit, returns: int) -> dict[str, float]:
-        """Return the numbers from which the belief in a fit follows.
-
-        If on average a share s of the rays disagrees, a share up to s + 2 sqrt(s / returns) is expected in a
-        scan: two standard deviations more. ``disagreeing_share`` is the s for which the actual share is just
-        at this limit.
-        """
-        chance = sqrt(1.0 / returns)
-        return {
-            "deficit": fit.deficit,
-            "deficit_sigma": fit.deviation,
-            "deficit_sigmas": fit.deficit / max(fit.deviation, LEAST_DEVIATION),
-            "returns": float(returns),
-            "agreeing_share": fit.agreement.share,
-            "disagreeing_share": (sqrt(1.0 - fit.agreement.share + chance**2) - chance) ** 2,
-        }
 
     def _explains(self, evidence: Mapping[str, float]) -> bool:
         acceptance = self._acceptance

@@ -67,7 +67,7 @@ class LateWatch:
         in_time = [place for place, age_s in enumerate(ages_s) if abs(age_s) <= self._max_age_s]
         if in_time:
             youngest = min(reversed(in_time), key=ages_s.__getitem__)
-            return self._held(frames[youngest:], _pace_s(frames[: in_time[-1] + 1]) or _pace_s(frames))
+            return _held(frames[youngest:], _pace_s(frames[: in_time[-1] + 1]) or _pace_s(frames))
         varies_s = max(ages_s, default=0.0) - min(ages_s, default=0.0)
         if varies_s <= _HALF * self._max_age_s or not _clocks_ran(frames, varies_s, _pace_s(frames)):
             return ""
@@ -76,26 +76,27 @@ class LateWatch:
             f"does not: {_LINK}, and {_DRIVER}; then check the sensor's clock"
         )
 
-    def _held(self, frames: Sequence[_Frame], pace_s: float) -> str:
-        """Return how the last frame was delayed against the first one; empty if it was not."""
-        first, last = frames[0], frames[-1]
-        held_s = last.age_s - first.age_s
-        if held_s <= 0.0 or not _clocks_ran(frames, held_s, pace_s):
-            return ""
-        if held_s <= _HALF * last.age_s:
-            return (
-                f"the youngest of its frames were {first.age_s:.3f} s old: check the sensor's clock, or set "
-                f"source.clock_offset_s of the sensor; another {held_s:.3f} s came on the way: {_LINK}, then "
-                f"{_DRIVER}"
-            )
-        told = f"it was delayed by {held_s:.3f} s"
-        clock = "its clock has not changed since frames came in time"
-        if not (first.sent_ns and last.sent_ns):
-            return f"{told} on the link or in the driver, {clock}; {_LINK}, then {_DRIVER}"
-        sent_late_s = (last.sent_ns - last.stamp_ns - first.sent_ns + first.stamp_ns) / NANOSECONDS
-        if sent_late_s > _HALF * held_s:
-            return f"{told}, most of it before it was sent, {clock}; {_DRIVER}"
-        return f"{told} on the link, {clock}; {_LINK}"
+
+def _held(frames: Sequence[_Frame], pace_s: float) -> str:
+    """Return how the last frame was delayed against the first one; empty if it was not."""
+    first, last = frames[0], frames[-1]
+    held_s = last.age_s - first.age_s
+    if held_s <= 0.0 or not _clocks_ran(frames, held_s, pace_s):
+        return ""
+    if held_s <= _HALF * last.age_s:
+        return (
+            f"the youngest of its frames were {first.age_s:.3f} s old: check the sensor's clock, or set "
+            f"source.clock_offset_s of the sensor; another {held_s:.3f} s came on the way: {_LINK}, then "
+            f"{_DRIVER}"
+        )
+    told = f"it was delayed by {held_s:.3f} s"
+    clock = "its clock has not changed since frames came in time"
+    if not (first.sent_ns and last.sent_ns):
+        return f"{told} on the link or in the driver, {clock}; {_LINK}, then {_DRIVER}"
+    sent_late_s = (last.sent_ns - last.stamp_ns - first.sent_ns + first.stamp_ns) / NANOSECONDS
+    if sent_late_s > _HALF * held_s:
+        return f"{told}, most of it before it was sent, {clock}; {_DRIVER}"
+    return f"{told} on the link, {clock}; {_LINK}"
 
 
 def _pace_s(frames: Sequence[_Frame]) -> float:

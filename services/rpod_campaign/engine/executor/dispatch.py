@@ -74,6 +74,13 @@ class _Worker:
     patience_s: float = 0.0
     """Time after which the user is told again that it is silent, s."""
 
+    def drop_lost(self) -> None:
+        """Forget its batches if it has answered a question that it was asked after them."""
+        for future, batch in list(self.running):
+            if future.status == "pending":
+                self.running.remove((future, batch))
+                _cancel(future)
+
 
 class Dispatch:
     """Supplies the workers until all trials are finished, or the scheduler is lost."""
@@ -226,7 +233,7 @@ class Dispatch:
             if worker.question.status == "cancelled":
                 self._require_connection()
             answer = Answer(f"it cannot answer: {type(error).__name__}: {error}", ())
-        self._drop_lost(worker)
+        worker.drop_lost()
         if answer.missing and not answer.refusal:
             targets = {name: cached_target(name) for name in answer.missing}
             with _over_the_connection():
@@ -239,13 +246,6 @@ class Dispatch:
             self._note(f"refused: {refusal}")
         else:
             worker.stage = _Stage.READY
-
-    def _drop_lost(self, worker: _Worker) -> None:
-        """Forget a worker's batches if the worker has answered a question that it was asked after them."""
-        for future, batch in list(worker.running):
-            if future.status == "pending":
-                worker.running.remove((future, batch))
-                _cancel(future)
 
     def _delivery(self, worker: _Worker, future: Future[Delivery], batch: Batch) -> Delivery | None:
         """Return the result of a batch; None if it was lost in transfer, and the batch is put back."""
