@@ -1,7 +1,7 @@
 """The progress of a campaign on standard error."""
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 
 from rich.console import Console
@@ -81,7 +81,7 @@ class _Pace:
         self.done = len(prepared.done)
         """Number of finished trials."""
         self._left = Counter(task.cell for task in prepared.tasks())
-        self._ended, self._took_s = Counter[int](), Counter[int]()
+        self._ended, self._took_s = Counter[int](), defaultdict[int, float](float)
         self._last_s = begin_s
 
     def one(self, cell: int, now_s: float) -> None:
@@ -97,7 +97,7 @@ class _Pace:
 
         Until a trial of a cell has ended, its trials count with the mean of all.
         """
-        mean_s = self._took_s.total() / self._ended.total()
+        mean_s = sum(self._took_s.values()) / self._ended.total()
         each_s = {cell: self._took_s[cell] / self._ended[cell] for cell in self._ended}
         left_s = sum(count * each_s.get(cell, mean_s) for cell, count in self._left.items())
         return f"{left_s / 60.0:.1f} min left" if left_s < 6000.0 else f"{left_s / 3600.0:.1f} h left"
