@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed, told
+from rpod.play.beforehand import too_fast, unseen
 from rpod.play.facility import Speed
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
-from rpod.play.too_far import unseen
 from rpod.scenarios import find
 from rpod_runtime import BusError
 from rpod_runtime.process.lifecycle import EXIT_OK, configure_logging
@@ -55,7 +55,7 @@ def run_command(
         # built once here, so that the services find them in the cache
         target = load_target(scenario.target)
         check_model(target, load_target(scenario.model))
-        for text in unseen(scenario, target.radius_m):
+        for text in filter(None, (*unseen(scenario, target.radius_m), too_fast(scenario))):
             print(f"rpod run: {text}", file=sys.stderr)
         folder = _folder(out, scenario)
     except (ConfigurationError, RunError, OSError) as error:

@@ -1,7 +1,7 @@
-"""Whether the sensors of a scenario can see its target at all, by geometry alone.
+"""What is known of a scenario before it is played: whether its target can be seen and followed at all.
 
-A unit that slipped, such as millimetres for metres, would otherwise be noticed after a run of minutes, by
-frames that are all rejected.
+A unit that slipped, such as millimetres for metres, or a motion that is too fast for the stated priors, would
+otherwise be noticed after a run of minutes, by frames that are all rejected.
 """
 
 from collections.abc import Iterator
@@ -36,6 +36,23 @@ def unseen(scenario: Scenario, radius_m: float) -> Iterator[str]:
                 f"at least {nearest_m:.4g} m away; there it covers at most {rays:.2g} rays or pixels "
                 f"({_FEWEST} are needed). {fields} in metres?"
             )
+
+
+def too_fast(scenario: Scenario) -> str:
+    """Return a sentence if the target moves faster than the estimator is told to expect; empty if not."""
+    path, stated_m_s = scenario.motion.trajectory, scenario.estimator.filter.initial_velocity_sigma_m_s
+    if stated_m_s is None or not isinstance(path, ApproachConfig):
+        return ""
+    way_m = float(np.abs(path.end_m - path.start_m).max()) / (1.0 - path.ramp_share)
+    fastest_m_s, expected_m_s = way_m / scenario.duration_s, 3.0 * stated_m_s
+    if fastest_m_s <= expected_m_s:
+        return ""
+    return (
+        f"the approach reaches {fastest_m_s:.2g} m/s in a run of {scenario.duration_s:g} s, and "
+        f"estimator.filter.initial_velocity_sigma_m_s of {stated_m_s:g} expects at most {expected_m_s:.2g} "
+        f"m/s: a track may not begin; play it in {way_m / expected_m_s:.0f} s or more, or state "
+        f"{fastest_m_s / 3.0:.2g}"
+    )
 
 
 def _nearest(scenario: Scenario) -> tuple[float, str]:

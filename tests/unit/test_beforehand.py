@@ -2,7 +2,7 @@
 
 import pytest
 
-from rpod.play.too_far import unseen
+from rpod.play.beforehand import too_fast, unseen
 from rpod.scenarios import find
 from rpod_schemas.config.base import check
 from rpod_schemas.config.scenario import Scenario
@@ -37,3 +37,15 @@ def test_a_lidar_too_far_away_is_told() -> None:
     orbit = {"kind": "station_keeping", "least_range_m": 20000.0, "greatest_range_m": 50000.0}
     (text,) = unseen(scenario("envisat-station", orbit), 15.0)
     assert "least_range_m in metres?" in text
+
+
+def test_an_approach_that_is_faster_than_the_stated_prior_is_told_with_the_time_that_it_needs():
+    shipped = find("mockup-handover")
+    assert too_fast(shipped) == ""
+    short = shipped.model_copy(update={"duration_s": 15.0})
+    told = too_fast(short)
+    assert "reaches 2.1 m/s in a run of 15 s" in told
+    assert "initial_velocity_sigma_m_s of 0.3 expects at most 0.9 m/s" in told
+    needed_s = float(told.split("play it in ")[1].split()[0])
+    assert too_fast(shipped.model_copy(update={"duration_s": needed_s + 1.0})) == ""
+    assert too_fast(find("envisat-station")) == ""
