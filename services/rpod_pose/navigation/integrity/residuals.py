@@ -182,20 +182,31 @@ def residual_tests(
     span_s = (residuals[-1].stamp_ns - residuals[0].stamp_ns) * 1e-9
     periods = periods_of(len(z), span_s, correlated_s)
     G = _lasting(residuals, several=several)
-    mean, shared = z.mean(axis=0), G.mean(axis=0)
-    bias = float(mean @ np.linalg.solve(np.eye(6) / periods + shared @ shared.T, mean))
+    shared = G.mean(axis=0)
+    of_mean = np.eye(6) / periods + shared @ shared.T
+
+    def biased(mean: FloatArray) -> float:
+        return float(mean @ np.linalg.solve(of_mean, mean))
+
+    bias = biased(z.mean(axis=0))
     product = _Product(periods / len(z), G)
+    square = product.of(z, z)
     information = product.of(late, late)
-    evidence, cause = {}, ""
+    evidence, of_size, of_bias = {}, "", ""
     if information > 0.0:
         offset_s = product.of(late, z) / information
         sigma_s = information**-0.5
         evidence = {f"{sensor}_stamps_late_s": offset_s, f"{sensor}_stamps_late_sigma_s": sigma_s}
-        share = offset_s**2 * information / bias if bias else 0.0
-        if share > EXPLAINED:
-            cause = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain {share:.0%}"
-    size = Statistic(f"{sensor}: size of its residuals", product.of(z, z), dof * periods, cause)
-    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, cause)), evidence
+        text = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain "
+        of_size = _clock(text, square, square - offset_s**2 * information)
+        of_bias = _clock(text, bias, biased((z - offset_s * late).mean(axis=0)))
+    size = Statistic(f"{sensor}: size of its residuals", square, dof * periods, of_size)
+    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, of_bias)), evidence
+
+
+def _clock(text: str, value: float, rest: float) -> str:
+    """Return a clock as the cause of a test's value, of which it leaves a rest; empty if it leaves most."""
+    return f"{text}{1.0 - rest / value:.0%}" if value > 0.0 and rest < (1.0 - EXPLAINED) * value else ""
 
 
 def _lasting(residuals: Sequence[Residual], *, several: bool) -> FloatArray:
