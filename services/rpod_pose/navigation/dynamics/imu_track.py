@@ -164,7 +164,7 @@ class ImuTrack:
                 np.eye(3), nothing, none, none, 0.0, pushed(0.0, step_s, step_s), none, none,
                 nothing, nothing, self._attitude,
             )  # fmt: skip
-        a, b = self._at(begin_ns), self._at(end_ns)
+        a, b = self._until(begin_ns, end_ns), self._at(end_ns)
         step_s = (end_ns - begin_ns) * 1e-9
         back = a.G.T
         kept = 1.0
@@ -173,8 +173,8 @@ class ImuTrack:
         return ChaserStep(
             turn=b.G.T @ a.G,
             turn_by_bias=b.G.T @ (b.S - a.S),
-            rate_before_rad_s=self._mean_rate(a),
-            rate_after_rad_s=self._mean_rate(b),
+            rate_before_rad_s=self._mean_rate(a, end_ns),
+            rate_after_rad_s=self._mean_rate(b, end_ns),
             turn_variance=max(b.variance - a.variance, 0.0),
             unknown=np.maximum(b.unknown - _later(a.unknown, step_s), 0.0),
             speed_m_s=back @ (b.speed_m_s - a.speed_m_s),
@@ -191,7 +191,7 @@ class ImuTrack:
 
     def turn(self, begin_ns: int, end_ns: int) -> FloatArray:
         """Return the turn of a step alone, shape (3, 3)."""
-        return self._at(end_ns).G.T @ self._at(begin_ns).G if self._sums else np.eye(3)
+        return self._at(end_ns).G.T @ self._until(begin_ns, end_ns).G if self._sums else np.eye(3)
 
     def _at(self, stamp_ns: int) -> _Sum:
         """Return the integrals at any stamp, by the readings up to it."""
@@ -209,12 +209,50 @@ class ImuTrack:
             attitude=before.R_orbit_chaser,
         )
 
-    def _mean_rate(self, at: _Sum) -> FloatArray:
-        """Return the rate at a stamp, extrapolated linearly from two means over a short time before it."""
+    def _until(self, stamp_ns: int, end_ns: int) -> _Sum:
+        """Return the integrals at a stamp for a step up to an end, by the readings up to this end.
+
+        In a gap that ends within the step, rate and force are those between its two readings. So a step at
+        the end of the gap does not have all that the chaser turned in the gap, and its rate is the present
+        one. Variance and bias, and how much is unknown, are those of ``_at``.
+        """
+        found, place = self._at(stamp_ns), bisect_right(self._sums, stamp_ns, key=lambda each: each.stamp_ns)
+        if not 0 < place < len(self._sums) or self._sums[place].stamp_ns > end_ns:
+            return found
+        last, ends = self._sums[place - 1], self._sums[place]
+        gap_ns = ends.stamp_ns - last.stamp_ns
+        if gap_ns <= round(_GAP_S * 1e9):
+            return found
+        share = (stamp_ns - last.stamp_ns) / gap_ns
+        between = _extended(
+            ends,
+            stamp_ns=stamp_ns,
+            rate_rad_s=last.rate_rad_s + share * (ends.rate_rad_s - last.rate_rad_s),
+            force_m_s2=last.force_m_s2 + share * (ends.force_m_s2 - last.force_m_s2),
+            density=found.density,
+            force_density=found.force_density,
+            attitude=found.R_orbit_chaser,
+        )
+        return replace(
+            between,
+            bias=found.bias,
+            unknown=found.unknown,
+            variance=found.variance,
+            speed_variance=found.speed_variance,
+        )
+
+    def _mean_rate(self, at: _Sum, end_ns: int) -> FloatArray:
+        """Return the rate at a stamp, extrapolated linearly from two means over a short time before it.
+
+        Args:
+            at: integrals at the stamp.
+            end_ns: end of the step, up to which readings are used.
+        """
         stamp_ns = at.stamp_ns - round(_RATE_S * 1e9)
         if stamp_ns <= self._sums[0].stamp_ns:
             return at.rate_rad_s - at.bias.bias_rad_s
-        before, middle = self._at(stamp_ns), self._at(at.stamp_ns - round(0.5e9 * _RATE_S))
+        before = self._until(stamp_ns, end_ns)
+        middle = self._until(at.stamp_ns - round(0.5e9 * _RATE_S), end_ns)
         late = (at.angle_rad - middle.angle_rad) / (0.5 * _RATE_S)
         early = (middle.angle_rad - before.angle_rad) / (0.5 * _RATE_S)
         # the means are those at 3/4 and 1/4 of this time before the stamp

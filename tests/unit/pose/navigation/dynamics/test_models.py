@@ -223,6 +223,32 @@ def test_time_without_readings_before_others_moves_the_target_until_the_end(sile
     assert whole.covariance[0, 0] == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("begin_s", [8.95, 3.05])
+def test_a_chaser_that_turned_otherwise_while_its_imu_was_silent_turns_as_the_next_reading_says(begin_s):
+    """The chaser turns back by 1 deg/s; the last reading before six seconds of silence said the contrary.
+
+    The state of the target, at rest, is right where the step begins, as frames have told it.
+    """
+    track, turns = ImuTrack(), np.radians([0.0, 1.0, 0.0])
+    for number in range(1001):
+        if not 300 < number < 900:
+            rate = turns if number <= 300 else -turns
+            stamp_ns = 10**18 + number * 10_000_000
+            track.take(ImuReading(stamp_ns=stamp_ns, frame_id=CHASER, rate_rad_s=rate))
+    pose = make_pose(translation_m=[0.0, 0.0, 10.0])
+    begin_ns, end_ns = 10**18 + round(begin_s * 1e9), 10**18 + 9_050_000_000
+    before = -turns * (1.0 - 2.0 * (begin_s - 3.0) / 6.0 if begin_s < 8.0 else -1.0)
+    state = FilterState(
+        begin_ns, pose, np.cross(before, pose.translation), before, np.eye(12), model=FreeMotion(track)
+    )
+    seen = predict(state, end_ns, FILTER)
+    if begin_s > 8.0:
+        turn = Rotation.from_rotvec(turns * (end_ns - begin_ns) * 1e-9)
+        off_deg = np.degrees((rotation_of(seen.T_chaser_target) * turn.inv()).magnitude())
+        assert off_deg < 0.01
+    np.testing.assert_allclose(np.degrees(seen.rate_rad_s), [0.0, 1.0, 0.0], atol=0.05)
+
+
 def test_readings_that_are_not_newer_are_not_used():
     track = a_track()
     newest_ns = 10**18 + 3_990_000_000
