@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from rpod_estimator.inputs.beside import ImagesBeside
+from rpod_estimator.inputs.earlier_frames import EarlierFrames
 from rpod_estimator.inputs.repeated_lines import RepeatedLines
 from rpod_estimator.setup_check import Setup, SetupCheck
 from rpod_pose.measurement import Measurement
@@ -61,6 +62,8 @@ class Arrived:
     """Kind of the reason, a ``Reason``; empty if there is a measurement."""
     repeats: int = 0
     """Number of successive frames, up to this one, whose content equals that of the previous frame."""
+    again: int = 0
+    """Number of successive frames, up to this one, whose content equals that of an earlier frame."""
     defect: str = ""
     """Defect of a usable frame's data, with its remedy; empty if there is none."""
     hint: str = ""
@@ -73,8 +76,10 @@ class Arrived:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether its sensor is frozen, and does not only send one frame twice."""
-        return self.refused == Reason.FROZEN and self.repeats >= FROZEN_REPEATS
+        """Whether its sensor is frozen or sends earlier frames again, and does not only send one twice."""
+        return self.again > FROZEN_REPEATS or (
+            self.refused == Reason.FROZEN and self.repeats >= FROZEN_REPEATS
+        )
 
     @property
     def came_in_time(self) -> bool:
@@ -108,6 +113,8 @@ class _Sensor:
     """Number of successive frames with this content, after the first one."""
     lines: RepeatedLines = field(default_factory=RepeatedLines)
     """Lines of its last frames."""
+    earlier: EarlierFrames = field(default_factory=EarlierFrames)
+    """Its earlier frames."""
     beside: ImagesBeside = field(default_factory=ImagesBeside)
     """Where its amplitude lies beside its depth."""
 
@@ -277,26 +284,28 @@ class FrameReader:
         """
         measurement = self.measurement(sensor, frame)
         repeats = self.repeats(sensor, frame)
-        again, is_torn = ("", False) if repeats else self._sensors[sensor].lines.found(measurement.data)
+        known, shows = self._sensors[sensor], _shows_something(measurement.data)
+        torn, is_torn = ("", False) if repeats else known.lines.found(measurement.data)
+        again = known.earlier.text if shows else ""
         if is_torn:
-            error = MessageRejectedError(Reason.FROZEN, again)
+            error = MessageRejectedError(Reason.FROZEN, again or torn)
             arrived = Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
-        elif not repeats or not _shows_something(measurement.data):
-            reader = self._sensors[sensor].reader
+        elif not repeats or not shows:
+            reader = known.reader
             defect, unused = _defect(measurement.data)
             if unused in type(measurement.data).model_fields:
                 measurement = replace(measurement, data=measurement.data.model_copy(update={unused: None}))
             lens = measurement.data.lens
             oblong = "" if lens is None else _oblong(lens)
-            beside = self._sensors[sensor].beside.found(measurement.data)
-            told = (again, beside, _negative(measurement.data), defect, oblong, reader.inconsistency)
+            beside = known.beside.found(measurement.data)
+            told = (again or torn, beside, _negative(measurement.data), defect, oblong, reader.inconsistency)
             defect = "; ".join(filter(None, told))
             arrived = Arrived(sensor, frame.stamp_ns, arrival_s, measurement, defect=defect, hint=reader.hint)
         else:
             text = f"the last {repeats + 1} frames are identical to the bit; restart the sensor's driver"
             error = MessageRejectedError(Reason.FROZEN, text)
             arrived = Arrived.unusable(sensor, frame.stamp_ns, error, arrival_s)
-        return replace(arrived, repeats=repeats)
+        return replace(arrived, repeats=repeats, again=known.earlier.in_a_row if shows else 0)
 
     def last(self, sensor: str, data: SensorFrame) -> Last:
         """Return the time of a frame's last measurement, from its points or from the stated duration."""
@@ -311,6 +320,7 @@ class FrameReader:
         known = self._sensors[sensor]
         same = np.array_equal(np.asarray(content), np.asarray(known.content))
         known.content, known.repeats = content, known.repeats + 1 if same else 0
+        known.earlier.take(content)
         return known.repeats
 
     def _check_camera(self, sensor: str, camera: Camera, received: Received) -> None:

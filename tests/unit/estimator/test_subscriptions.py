@@ -258,6 +258,24 @@ def test_negative_distances_are_told_unless_one_value_stands_for_none(pixels, to
     assert bool(told) == bool(arrived.defect)
 
 
+@pytest.mark.parametrize("length", [2, 40])
+def test_frames_of_an_earlier_time_under_new_stamps_are_told_and_the_third_is_a_frozen_stream(length):
+    bench, found = Bench(), []
+    for number in range(length + 4):
+        bench._sent = number % length
+        bench.send_frame(NOW_NS + number)
+        found += bench.arrived()
+    assert [each.is_frozen for each in found] == [False] * (length + 2) + [True] * 2
+    text = (
+        f"it is the frame {length} before it, to the bit: a recording or a ring of buffers is sent in a loop"
+    )
+    assert [each.defect.startswith(text) for each in found] == [False] * length + [True] * 4
+    bench._sent = length
+    bench.send_frame(NOW_NS + 99)
+    (new,) = bench.arrived()
+    assert (new.is_frozen, new.defect) == (False, "")
+
+
 def test_scans_without_any_return_are_alike_and_not_frozen():
     bench = lidar_bench()
     nothing = {name: np.full((2, 3), np.nan, np.float32) for name in CLOUD}

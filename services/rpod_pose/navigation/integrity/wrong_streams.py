@@ -99,5 +99,6 @@ class WrongStreams:
     def alert(self, stamp_ns: int) -> str:
         """Return why an estimate at a stamp must not be used; empty for no reason."""
         if self.frozen_ns:
-            return f"{', '.join(sorted(self.frozen_ns))}: frozen, its last frames are identical"
+            named = ", ".join(sorted(self.frozen_ns))
+            return f"{named}: frozen, its last frames are identical, or those of an earlier time"
         return "; ".join(move.describe(name, stamp_ns) for name, move in sorted(self.moves.items()))
