@@ -5,6 +5,7 @@ from math import degrees, inf, isfinite
 import numpy as np
 
 from rpod_pose.navigation.dynamics.manoeuvre import needed
+from rpod_pose.navigation.dynamics.slewing import relied_on
 from rpod_pose.navigation.filter import ATTITUDE, POSITION, FilterState, Innovation, Manoeuvre, gate_nis
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
@@ -47,7 +48,9 @@ class Refusals:
         text += f", limit {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
         least = needed(before, predicted, measured, self._config)
         settings = self._densities(least) if tracked else _priors(least)
-        return f"{text}; if the target really moves so, raise {' and '.join(settings)}" if settings else text
+        if settings:
+            text += f"; if the target really moves so, raise {' and '.join(settings)}"
+        return text + relied_on(before)
 
     def _densities(self, least: Manoeuvre) -> list[str]:
         config = self._config

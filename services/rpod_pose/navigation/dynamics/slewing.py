@@ -67,6 +67,7 @@ _NO_GAP, _BY_GYRO = (
     "no gap is bridged",
     "its acceleration is unknown and gaps are bridged for a short time only, with the gyro",
 )
+_IMU = "chaser/imu (axes, sign, rad/s, stamps)"
 _OR_TURNS = "; if the chaser turns, set dynamics.imu"
 _REFUSALS = 3.0
 """Number of right poses that the gate refuses by chance in succession as rarely as the filters are exchanged
@@ -135,6 +136,22 @@ def told(doubted: Collection[str]) -> str:
     if COMMAND_DOUBTED in doubted:
         return _DOUBTED.format(*((_NO_GAP, _OR_TURNS) if CHASER_TURNS in doubted else (_BY_GYRO, "")))
     return _TURNS if doubted else ""
+
+
+def relied_on(state: FilterState) -> str:
+    """Return what the prediction of a state relies on beside the sensors, for an operator; empty for none."""
+    model = state.model.measured if isinstance(state.model, Turning) else state.model
+    if not isinstance(model, FreeMotion):
+        return ""
+    chaser, parts = model.chaser, []
+    if isinstance(chaser, Commanded):
+        parts.append("guidance/command (axes, sign, stamps)")
+        chaser = chaser.turning
+    held = isinstance(chaser, Held)
+    parts.append("a chaser that holds its attitude (dynamics.imu)" if held else _IMU)
+    if model.inertia is not None:
+        parts.append("a target without torque, with the inertia of its file (dynamics.target)")
+    return f"; predictions rely on {', and on '.join(parts)}"
 
 
 class Met(NamedTuple):

@@ -16,6 +16,7 @@ from math import degrees
 import numpy as np
 
 from rpod_pose.navigation.dynamics.manoeuvre import greatest
+from rpod_pose.navigation.dynamics.slewing import relied_on
 from rpod_pose.navigation.filter import ATTITUDE, CALM, POSITION, FilterState, predict, separation_of
 from rpod_pose.navigation.integrity.residuals import separation_test
 from rpod_schemas.config.estimator.filter import FilterConfig
@@ -74,7 +75,7 @@ class Past:
             there = predict(anchor, estimate.stamp_ns, filtered)
             test = separation_test("the estimate and its prediction from before", estimate, there)
             if test.exceeds_risk(config.risk):
-                text = f"{test.describe(config.risk)}, {_apart(estimate, there)}{REMEDY}"
+                text = f"{test.describe(config.risk)}, {_apart(estimate, there)}{REMEDY}{relied_on(anchor)}"
                 return replace(past, contradicted_ns=estimate.stamp_ns, contradiction=text)
         gap_ns = round(0.5 * config.tuning.window_s * NANOSECONDS)
         if not past.anchors or estimate.stamp_ns - past.anchors[-1].stamp_ns >= gap_ns:

@@ -25,6 +25,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from rpod_pose.navigation.dynamics.slewing import relied_on
 from rpod_pose.navigation.filter import POSE, UNSEEN, FilterState, Innovation, separation_of
 from rpod_pose.navigation.filter.blocks import placed
 from rpod_pose.navigation.filter.prediction import turn_of_view_rad
@@ -57,6 +58,8 @@ class Residual:
     """Derivative of z with respect to the delay of the stamp, 1/s, shape (6,)."""
     lasting: Lasting = field(default_factory=dict)
     """What lasting errors do to z."""
+    relied: str = ""
+    """What the prediction relied on beside the sensors, for the operator."""
 
     def delayed_square(self) -> float:
         """Return the square of z, with the lasting errors of two sensors, at the likeliest delay.
@@ -156,7 +159,7 @@ def residual_of(
     white: FloatArray = np.linalg.solve(L, np.column_stack([y, -twist, *lasting.values()])).astype(np.float64)
     ends = np.cumsum([2, *(each.shape[1] for each in lasting.values())])
     parts = dict(zip(lasting, np.split(white, ends[:-1], axis=1)[1:], strict=True))
-    return Residual(stamp_ns, white[:, 0], white[:, 1], parts)
+    return Residual(stamp_ns, white[:, 0], white[:, 1], parts, relied_on(predicted))
 
 
 def recent(residuals: Sequence[Residual], newest_ns: int, window_s: float) -> tuple[Residual, ...]:
@@ -200,8 +203,9 @@ def residual_tests(
         text = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain "
         of_size = _clock(text, square, square - offset_s**2 * information)
         of_bias = _clock(text, bias, biased((z - offset_s * late).mean(axis=0)))
-    size = Statistic(f"{sensor}: size of its residuals", square, dof * periods, of_size)
-    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, of_bias)), evidence
+    relied = residuals[-1].relied
+    size = Statistic(f"{sensor}: size of its residuals", square, dof * periods, of_size + relied)
+    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, of_bias + relied)), evidence
 
 
 def _clock(text: str, value: float, rest: float) -> str:

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from rpod_pose.navigation.dynamics.chaser import Held
+from rpod_pose.navigation.dynamics.command_track import Commanded, CommandTrack
 from rpod_pose.navigation.dynamics.free_motion import (
     ACCELERATION_BIAS,
     CENTRE_OF_MASS,
@@ -18,9 +19,12 @@ from rpod_pose.navigation.dynamics.free_motion import (
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, transition
+from rpod_pose.navigation.dynamics.slewing import relied_on
 from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, curvature, torque_free
-from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, predict, to_odometry
+from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, innovation_of, predict, to_odometry
 from rpod_pose.navigation.filter.rotations import cross_matrix
+from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
+from rpod_schemas.config.estimator.dynamics import CommandTuning
 from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_schemas.topics import CHASER
@@ -247,6 +251,30 @@ def test_a_chaser_that_turned_otherwise_while_its_imu_was_silent_turns_as_the_ne
         off_deg = np.degrees((rotation_of(seen.T_chaser_target) * turn.inv()).magnitude())
         assert off_deg < 0.01
     np.testing.assert_allclose(np.degrees(seen.rate_rad_s), [0.0, 1.0, 0.0], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("model", "named"),
+    [
+        (None, ""),
+        (FreeMotion(ImuTrack()), "chaser/imu (axes, sign, rad/s, stamps)"),
+        (FreeMotion(Held()), "a chaser that holds its attitude (dynamics.imu)"),
+        (
+            FreeMotion(Commanded(ImuTrack(), CommandTrack(), CommandTuning()), Inertia(INERTIA_KG_M2)),
+            "guidance/command (axes, sign, stamps), and on chaser/imu (axes, sign, rad/s, stamps), and on a "
+            "target without torque, with the inertia of its file (dynamics.target)",
+        ),
+    ],
+    ids=["steady", "imu", "held", "commands"],
+)
+def test_what_a_prediction_relies_on_is_told_with_a_pose_that_contradicts_it(model, named):
+    told = f"; predictions rely on {named}" if named else ""
+    state = replace(a_state(()), model=model)
+    assert relied_on(state) == told
+    pose = make_pose(translation_m=state.T_chaser_target.translation + 1.0)
+    found = innovation_of(state, pose, 1e-6 * np.eye(6), config=FILTER)
+    tests, _ = residual_tests("pmd", [residual_of(state, found, state.stamp_ns)], dof=6, correlated_s=1.0)
+    assert all(test.describe(1e-6).endswith(told) for test in tests)
 
 
 def test_readings_that_are_not_newer_are_not_used():
