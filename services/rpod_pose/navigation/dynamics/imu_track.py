@@ -88,6 +88,8 @@ class ImuTrack:
         self._noise, self._walk = noise_rad_sqrt_s**2, bias_walk_rad_s_sqrt_s**2
         self._force_noise = force_noise_m_s_sqrt_s**2
         self._attitude, self._orbit_rate_rad_s = R_orbit_chaser, orbit_rate_rad_s
+        self.bias_sigma_rad_s = bias_sigma_rad_s
+        """Standard deviation of the gyro's bias before any attitude."""
         self._unknown = GyroBias.unknown(bias_sigma_rad_s)
         self._begin_ns = 0
         self._sums: list[_Sum] = []

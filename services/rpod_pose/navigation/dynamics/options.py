@@ -17,7 +17,7 @@ from rpod_pose.navigation.dynamics.free_motion import (
     FreeMotion,
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
-from rpod_pose.navigation.dynamics.slewing import Turning, doubts
+from rpod_pose.navigation.dynamics.slewing import doubts, imu_of
 from rpod_pose.navigation.dynamics.torque_free import RATIOS, Inertia
 from rpod_pose.navigation.filter import CALM, Block, FilterState, MotionModel
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
@@ -75,13 +75,11 @@ def evidence_of(state: FilterState) -> dict[str, float]:
     if (factors := state.factors) != CALM:
         found["acceleration_factor"] = factors.acceleration
         found["angular_acceleration_factor"] = factors.angular
-    model = state.model.measured if isinstance(state.model, Turning) else state.model
-    imu = model.chaser if isinstance(model, FreeMotion) else None
-    imu = imu.turning if isinstance(imu, Commanded) else imu
+    imu = imu_of(state.model)
     for block in state.blocks:
         if block.name in STATES:
             variances, value = np.diag(state.covariance)[places[block.name]], block.value
-            if block.name == GYRO_BIAS and isinstance(imu, ImuTrack):
+            if block.name == GYRO_BIAS and imu is not None:
                 value = value + imu.bias_at(state.stamp_ns).bias_rad_s
             found[block.name] = float(np.linalg.norm(value))
             found[f"{block.name}_sigma"] = float(np.sqrt(variances.max()))

@@ -30,6 +30,7 @@ from scipy.special import chdtrc
 from rpod_pose.navigation.dynamics.chaser import Held
 from rpod_pose.navigation.dynamics.command_track import Commanded
 from rpod_pose.navigation.dynamics.free_motion import FORCE_ERRORS, STATES, FreeMotion
+from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.steady import LEAST, log_density
 from rpod_pose.navigation.filter import (
     CALM,
@@ -40,6 +41,7 @@ from rpod_pose.navigation.filter import (
     FilterState,
     Innovation,
     Motion,
+    MotionModel,
     Other,
     gate_nis,
     grown,
@@ -136,6 +138,14 @@ def told(doubted: Collection[str]) -> str:
     if COMMAND_DOUBTED in doubted:
         return _DOUBTED.format(*((_NO_GAP, _OR_TURNS) if CHASER_TURNS in doubted else (_BY_GYRO, "")))
     return _TURNS if doubted else ""
+
+
+def imu_of(model: MotionModel | None) -> ImuTrack | None:
+    """Return the readings of the IMU that a model of motion uses; None if it uses none."""
+    model = model.measured if isinstance(model, Turning) else model
+    chaser = model.chaser if isinstance(model, FreeMotion) else None
+    chaser = chaser.turning if isinstance(chaser, Commanded) else chaser
+    return chaser if isinstance(chaser, ImuTrack) else None
 
 
 def relied_on(state: FilterState) -> str:

@@ -22,6 +22,9 @@ from rpod_schemas.arrays import FloatArray
 from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import rotation_matrix
 
+WRONG_ONE_UNKNOWN = "; which of them is wrong is not known: calibrate both"
+"""End of the report of an offset between two mounts, with the remedy."""
+
 
 @dataclass(frozen=True)
 class Pair:
@@ -79,6 +82,12 @@ def clock_test(
     angle_deg, length_m = np.rad2deg(np.linalg.norm(apart[ATTITUDE])), np.linalg.norm(apart[POSITION])
     differ = f"; they differ by {angle_deg:.2f} deg and {1e3 * length_m:.0f} mm: mounts, or "
     return Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair)), late
+
+
+def mount_test(offset: MountOffset, estimate: FilterState, config: IntegrityConfig) -> Statistic:
+    """Return the test whether an offset between two mounts contradicts what is declared of them."""
+    cause = clock_of_mounts(offset, estimate) + WRONG_ONE_UNKNOWN
+    return Statistic(offset.describe(), offset.excess(config), 6, cause)
 
 
 def clock_of_mounts(offset: MountOffset, estimate: FilterState) -> str:

@@ -19,7 +19,8 @@ import numpy as np
 from rpod_pose.navigation.filter import FilterState, gate_nis, predict
 from rpod_pose.navigation.history import Step, after
 from rpod_pose.navigation.integrity.clock_frames import TwoClocks, apart_of, two_clocks
-from rpod_pose.navigation.integrity.clocks import Pair, clock_of_mounts
+from rpod_pose.navigation.integrity.clocks import Pair, mount_test
+from rpod_pose.navigation.integrity.declared_states import declared_tests
 from rpod_pose.navigation.integrity.levels import (
     Levels,
     Solution,
@@ -47,8 +48,6 @@ from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.config.sensor import AlertLimit
 from rpod_schemas.types import BeliefLevel, Integrity, IntegrityState, Mode
 
-WRONG_ONE_UNKNOWN = "; which of them is wrong is not known: calibrate both"
-"""End of the report of an offset between two mounts, with the remedy."""
 DECLARED_ONLY = "errors of mount, clock and ranges are covered as far as declared, not beyond"
 """Limit of the levels if one of several sensors alone is not accurate enough for the alert limits."""
 SIZE_BELIEVED = (
@@ -213,12 +212,9 @@ class Monitor:
                 name = f"the solutions without {one} and without {other}"
                 tests.append(separation_test(name, there[0], there[1], self._config))
         for offset in mount_offsets(estimate, self._limits, self._filter.mount_sigma_m):
-            cause = clock_of_mounts(offset, estimate)
-            tests.append(
-                Statistic(offset.describe(), offset.excess(self._config), 6, cause + WRONG_ONE_UNKNOWN)
-            )
+            tests.append(mount_test(offset, estimate, self._config))
             evidence |= offset.evidence
-        return tests, evidence
+        return tests + declared_tests(estimate), evidence
 
     def _clocks(self, memory: Memory, estimate: FilterState) -> TwoClocks | None:
         """Return what two sensors tell of their clocks, or have told before one fell silent."""

@@ -10,6 +10,7 @@ from rpod_motion.imu import Imu
 from rpod_pose.navigation.dynamics.free_motion import CENTRE_OF_MASS, GYRO_BIAS, INERTIA
 from rpod_pose.navigation.dynamics.options import Dynamics, evidence_of
 from rpod_pose.navigation.dynamics.slewing import CHASER_TURNS, turns
+from rpod_pose.navigation.integrity.declared_states import declared_tests
 from rpod_pose.navigation.integrity.refused import turning_solutions
 from rpod_schemas.config.base import check
 from rpod_schemas.config.estimator.dynamics import DynamicsConfig
@@ -43,6 +44,52 @@ def test_a_gap_of_half_a_minute_costs_little_although_centre_and_inertia_are_wro
     assert found.position_m < 0.03
     assert found.nees < 20.0
     assert sigmas(found.state, CENTRE_OF_MASS).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("moments", "declared", "is_told"),
+    [
+        ((1.0, 1.0, 1.0), 0.1, False),
+        ((1.0, 1.0, 1.2), 0.1, False),
+        ((0.4, 1.0, 0.8), 0.1, True),
+        ((0.4, 1.0, 0.8), 0.4, False),
+    ],
+)
+def test_an_inertia_that_contradicts_what_is_declared_of_it_is_told(moments, declared, is_told):
+    wrong = replace(CAMERA, dynamics={**TORQUE_FREE, "inertia_sigma": declared}, moments=moments, gap_s=0.0)
+    (test,) = declared_tests(fly(wrong, 3).state)
+    assert test.exceeds_risk(1e-6) is is_told
+    assert test.describe(1e-6).endswith(
+        "; correct inertia_kg_m2 of the target's file, or raise dynamics.inertia_sigma"
+    )
+
+
+def test_a_centre_of_mass_that_contradicts_what_is_declared_of_it_is_told():
+    unsure = {**TORQUE_FREE, "centre_of_mass_sigma_m": 0.02}
+    for off_m, is_told in (((0.02, -0.02, 0.01), False), ((0.2, -0.2, 0.1), True)):
+        course = replace(SCANS, dynamics=unsure, centre_off_m=off_m, gap_s=0.0)
+        centre, _ = declared_tests(fly(course, 3).state)
+        assert centre.exceeds_risk(1e-6) is is_told
+        assert "m expected by what is declared" in centre.name
+
+
+@pytest.mark.parametrize("is_inverted", [False, True])
+def test_a_star_tracker_that_contradicts_the_gyro_is_told(is_inverted, monkeypatch):
+    """The chaser turns with its orbit; inverted, its attitude is stated as that of the orbit in its axes."""
+    reading = Imu.reading
+
+    def stated(self, stamp_ns, time_s):
+        true = reading(self, stamp_ns, time_s)
+        R = true.R_orbit_chaser.inv() if is_inverted else true.R_orbit_chaser
+        return true.model_copy(update={"R_orbit_chaser": R})
+
+    monkeypatch.setattr(Imu, "reading", stated)
+    tracker = ImuNoiseConfig(rate_hz=10.0, star_tracker_sigma_deg=0.01)
+    dynamics = {"orbit": {"period_s": 6009.6}, "imu": {}}
+    course = replace(SCANS, dynamics=dynamics, imu=tracker, in_orbit=True, tracked_s=20.0, gap_s=0.0)
+    (test,) = declared_tests(fly(course, 1).state)
+    assert test.exceeds_risk(1e-6) is is_inverted
+    assert test.name.startswith("the gyro's bias: estimated")
 
 
 def test_without_eulers_equations_the_same_gap_loses_the_attitude():
