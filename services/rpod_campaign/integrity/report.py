@@ -22,6 +22,17 @@ _KEPT = 50
 _POINTS = 3000
 """Largest number of frames of a fault in a Stanford diagram."""
 _CONFIDENCE = 0.95
+_LIMITS = {
+    "level = error": ([1e-3, 1e2], [1e-3, 1e2]),
+    "alert limits": ([1e-3, 1.0, 1.0], [1.0, 1.0, 1e-3]),
+}
+"""Lines of a Stanford diagram: frames below the first one are misleading, those in the box of the second one
+are available with an error below the limit."""
+_DIAGRAM = (
+    "The diagrams show the frames in all states but alert. One below the line level = error is misleading, "
+    "unless it is unavailable."
+)
+"""What a Stanford diagram shows."""
 
 
 def summarise(cell: IntegrityCell, rows: pl.DataFrame) -> dict[str, Any]:
@@ -131,7 +142,8 @@ def sections(results: Results) -> list[Section]:
             "Faults that one sensor can see",
             "Misleading: an error is above its protection level while the state is nominal or caution. "
             "Alerted: from a frame on, each error above the alert limit has the state alert or unavailable; "
-            "the time runs to it from the first such error. Available: both levels are below the limits.",
+            "the time runs to it from the first such error. Available: both levels are below the limits. "
+            f"{_DIAGRAM}",
             (_table("Faults that one sensor can see", seen),),
             _stanford(seen),
         ),
@@ -139,7 +151,8 @@ def sections(results: Results) -> list[Section]:
             "Faults that one sensor cannot see",
             "A wrong mount, an offset of the clock and a slow drift of the ranges are in no residual of the "
             "only sensor. The levels have a declared standard deviation of them: mount 0.02 deg and 1 mm, "
-            "clock 2 ms, ranges 0.05 %. Larger ones are misleading unless a second sensor contradicts them.",
+            "clock 2 ms, ranges 0.05 %. Larger ones are misleading unless a second sensor contradicts them. "
+            f"{_DIAGRAM}",
             (_table("Faults that one sensor cannot see", unseen),),
             _stanford(unseen),
         ),
@@ -221,7 +234,6 @@ def _stanford(results: Results) -> tuple[Any, ...]:
                     (shown[level] / shown[limit]).to_list(),
                 )
         if clouds:
-            clouds["level = error"] = ([1e-3, 1e2], [1e-3, 1e2])
             figures.append(
                 curve_figure(
                     clouds,
@@ -230,6 +242,7 @@ def _stanford(results: Results) -> tuple[Any, ...]:
                     markers=True,
                     log_x=True,
                     log_y=True,
+                    limits=_LIMITS,
                 )
             )
     return tuple(figures)

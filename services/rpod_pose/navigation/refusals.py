@@ -42,10 +42,12 @@ class Refusals:
             tracked: whether the track's twist is estimated already; otherwise it is the initial one.
         """
         before, text = history.before(measured.stamp_ns, self._config), f"gate: nis {nis:.1f}"
-        if before is None or not isfinite(nis) or measured.stamp_ns <= before.stamp_ns:
+        if before is None or not isfinite(nis):
             return text
         found = compared(predicted, measured, self._config)
         text += f", limit {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
+        if measured.stamp_ns <= before.stamp_ns:  # another sensor's pose at the same time
+            return text + relied_on(before)
         least = needed(before, predicted, measured, self._config)
         settings = self._densities(least) if tracked else _priors(least)
         if settings:

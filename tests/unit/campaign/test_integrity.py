@@ -199,7 +199,10 @@ def test_a_stanford_diagram_has_a_cloud_for_each_target_and_world():
         results.append(CellResult(cell, table, summarise(cell, table)))
     first, *_, frames = sections(results)
     names = ["mockup", "mockup, noisy", "brick"]
-    assert [trace.name for trace in first.figures[0].data] == [*names, "level = error"]
+    assert [trace.name for trace in first.figures[0].data] == [*names, "level = error", "alert limits"]
+    clouds, lines = first.figures[0].data[: len(names)], first.figures[0].data[len(names) :]
+    assert {trace.mode for trace in clouds} == {"markers"}
+    assert {trace.mode for trace in lines} == {"lines"}
     assert [row[1] for row in frames.tables[0].rows] == names
 
 

@@ -11,6 +11,9 @@ from rpod_campaign.engine.report.numbers import NONE
 from rpod_campaign.engine.report.statistics import Rate
 
 COLOURS = (ACCENT, "#e8973a", "#3aa876", "#a46de0", BAD, "#5bb8c9", "#c96f9e", QUIET)
+_SYMBOLS = ("circle", "diamond-open", "cross-thin-open", "square-open", "triangle-up-open")
+"""Symbols of point clouds; the next one follows where the colours begin again."""
+_DASHES = ("solid", "dash", "dot")
 
 
 def distinct(name: Sequence[str], among: Sequence[Sequence[str]]) -> str:
@@ -72,8 +75,9 @@ def curve_figure(
     log_x: bool = False,
     log_y: bool = False,
     points: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
 ) -> go.Figure:
-    """Return a figure of named curves or point clouds, with single points as crosses."""
+    """Return a figure of named curves or point clouds, with single points as crosses, and limits as lines."""
     figure = go.Figure()
     for index, (name, (x, y)) in enumerate(curves.items()):
         figure.add_trace(
@@ -83,9 +87,16 @@ def curve_figure(
                 mode="markers" if markers else "lines",
                 name=name,
                 line={"color": COLOURS[index % len(COLOURS)], "width": 1.6},
-                marker={"color": COLOURS[index % len(COLOURS)], "size": 5},
+                marker={
+                    "color": COLOURS[index % len(COLOURS)],
+                    "symbol": _SYMBOLS[index // len(COLOURS) % len(_SYMBOLS)],
+                    "size": 5,
+                },
             )
         )
+    for index, (name, (x, y)) in enumerate((limits or {}).items()):
+        line = {"color": QUIET, "width": 1.2, "dash": _DASHES[index % len(_DASHES)]}
+        figure.add_trace(go.Scatter(x=list(x), y=list(y), mode="lines", name=name, line=line))
     for index, (name, point) in enumerate((points or {}).items()):
         marker = {"symbol": "x", "size": 10, "color": COLOURS[index % len(COLOURS)]}
         figure.add_trace(go.Scatter(x=[point[0]], y=[point[1]], mode="markers", name=name, marker=marker))

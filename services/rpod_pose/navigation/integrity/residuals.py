@@ -41,6 +41,17 @@ together."""
 DECLARED = "declared errors of two sensors"
 """Name of the lasting errors of mounts, clocks and ranges, which count only if several sensors measure."""
 
+APART = (
+    "; mount, clock or ranges of this sensor or of another one are wrong: compare them with "
+    "rpod driver check --against"
+)
+"""Causes of large residuals of one of several sensors, with the remedy."""
+LIVELY = (
+    "; stamps are irregular, or the target moves more than filter.acceleration_density_m2_s3 and "
+    "filter.angular_acceleration_density_rad2_s3 allow"
+)
+"""Causes of large residuals of a single sensor."""
+
 Lasting = Mapping[str, FloatArray]
 """What one standard deviation of each lasting error does to an innovation, shape (6, n), by their name."""
 NONE_LASTS: Lasting = MappingProxyType({})
@@ -203,9 +214,10 @@ def residual_tests(
         text = f"; stamps that are {offset_s:.3f} s late (sigma {sigma_s:.3f} s) explain "
         of_size = _clock(text, square, square - offset_s**2 * information)
         of_bias = _clock(text, bias, biased((z - offset_s * late).mean(axis=0)))
-    relied = residuals[-1].relied
-    size = Statistic(f"{sensor}: size of its residuals", square, dof * periods, of_size + relied)
-    return (size, Statistic(f"{sensor}: mean of its residuals", bias, dof, of_bias + relied)), evidence
+    usual, relied = APART if several else LIVELY, residuals[-1].relied
+    size = Statistic(f"{sensor}: size of its residuals", square, dof * periods, (of_size or usual) + relied)
+    mean = Statistic(f"{sensor}: mean of its residuals", bias, dof, (of_bias or usual) + relied)
+    return (size, mean), evidence
 
 
 def _clock(text: str, value: float, rest: float) -> str:

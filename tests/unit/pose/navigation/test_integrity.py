@@ -27,7 +27,9 @@ from rpod_pose.navigation.integrity.monitor import (
 )
 from rpod_pose.navigation.integrity.refused import refused_solutions
 from rpod_pose.navigation.integrity.residuals import (
+    APART,
     DECLARED,
+    LIVELY,
     Residual,
     lasting_errors,
     residual_of,
@@ -405,11 +407,11 @@ def test_a_clock_explains_at_most_all_of_a_test_and_is_named_for_the_test_that_i
     ]
     tests, evidence = residual_tests("pmd", found, dof=6, correlated_s=1.0)
     assert evidence["pmd_stamps_late_s"] == pytest.approx(2.0)
-    assert [test.cause for test in tests] == ["", ""]
+    assert [test.cause for test in tests] == [LIVELY, LIVELY]
     along = [replace(each, z=2.0 * each.late) for each in found]
     size, mean = residual_tests("pmd", along, dof=6, correlated_s=1.0)[0]
     assert size.cause == "; stamps that are 2.000 s late (sigma 0.125 s) explain 100%"
-    assert mean.cause == "", "of a mean that is 0 nothing is to be explained"
+    assert mean.cause == LIVELY, "of a mean that is 0 nothing is to be explained"
 
 
 def residuals_with(declared, generator, frames=6):
@@ -444,6 +446,7 @@ def test_an_error_far_beyond_what_is_declared_fails_the_test_of_the_mean():
     residuals = residuals_with(turned, np.random.default_rng(1))
     (_, mean), _ = residual_tests("lidar", residuals, dof=6, correlated_s=1.0, several=True)
     assert mean.exceeds_risk(1e-6)
+    assert mean.describe(1e-6).endswith(APART)
 
 
 def test_frames_of_one_second_count_as_one_in_the_tests():
