@@ -10,7 +10,14 @@ from rpod_pose.navigation.filter import ATTITUDE, POSITION, FilterState, Innovat
 from rpod_pose.navigation.history import History
 from rpod_pose.navigation.pose_measurement import PoseMeasurement, compared
 from rpod_schemas.config.estimator import EstimatorSettings
+from rpod_schemas.config.estimator.filter import FilterConfig
 from rpod_schemas.messages import NANOSECONDS
+
+BESIDE = (
+    "; mount, clock or ranges of this sensor or of those that track are wrong: compare them with "
+    "rpod driver check --against"
+)
+"""Causes of a difference between two sensors, with the remedy."""
 
 
 class Refusals:
@@ -41,11 +48,12 @@ class Refusals:
             nis: its normalised innovation squared.
             tracked: whether the track's twist is estimated already; otherwise it is the initial one.
         """
-        before, text = history.before(measured.stamp_ns, self._config), f"gate: nis {nis:.1f}"
+        before, text = (
+            history.before(measured.stamp_ns, self._config),
+            refused(history, predicted, measured, nis, self._config),
+        )
         if before is None or not isfinite(nis):
             return text
-        found = compared(predicted, measured, self._config)
-        text += f", limit {gate_nis(predicted, self._config):.1f}: {_beyond(before, predicted, found)}"
         if measured.stamp_ns <= before.stamp_ns:  # another sensor's pose at the same time
             return text + relied_on(before)
         least = needed(before, predicted, measured, self._config)
@@ -66,6 +74,24 @@ class Refusals:
             for (name, value), factor in zip(raised.items(), least, strict=True)
             if 1.0 < factor < inf
         ]
+
+
+def refused(
+    history: History, predicted: FilterState, measured: PoseMeasurement, nis: float, config: FilterConfig
+) -> str:
+    """Return that the gate refused a pose, with the figures; arguments as for ``Refusals.explain``."""
+    before, text = history.before(measured.stamp_ns, config), f"gate: nis {nis:.1f}"
+    if before is None or not isfinite(nis):
+        return text
+    found = compared(predicted, measured, config)
+    return f"{text}, limit {gate_nis(predicted, config):.1f}: {_beyond(before, predicted, found)}"
+
+
+def refused_newcomer(
+    history: History, predicted: FilterState, measured: PoseMeasurement, nis: float, config: FilterConfig
+) -> str:
+    """Return why the pose of a sensor that does not support the track yet is refused, with the remedy."""
+    return f"{refused(history, predicted, measured, nis, config)}{BESIDE}"
 
 
 def _priors(least: Manoeuvre) -> list[str]:

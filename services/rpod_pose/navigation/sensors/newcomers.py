@@ -8,6 +8,7 @@ from rpod_pose.navigation.filter import FilterState
 from rpod_pose.navigation.frames import as_measured
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.pose_measurement import PoseMeasurement
+from rpod_pose.navigation.refusals import refused_newcomer
 from rpod_pose.navigation.registering import Registrar
 from rpod_pose.navigation.sensors.beside import Beside
 from rpod_pose.navigation.sensors.joining import Separation, probation, update_separation
@@ -80,7 +81,8 @@ class Newcomers:
             beside = track.applied_at(event.stamp_ns, event.sensor)
         if not accepted:
             state = state if separation.joined else replace(state, separation=None)
-            output = self._output(state, event, registration, reason=f"gate: nis {nis:.1f}", nis=nis)
+            reason = refused_newcomer(separation.including, predicted, measured, nis, self._config)
+            output = self._output(state, event, registration, reason=reason, nis=nis)
             return state, replace(output, compared=beside)
         if self._are_silent(state, event):
             alone = state.established | {event.sensor}

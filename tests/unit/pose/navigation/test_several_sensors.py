@@ -58,6 +58,12 @@ def test_frames_of_a_camera_that_sees_nothing_cost_one_registration_and_no_searc
     assert desk.see("lidar", good(START_S + 4.0)).status.accepted
 
 
+def test_a_camera_that_contradicts_the_track_of_a_lidar_is_told_with_figures_and_remedy():
+    reason = tracking_by_lidar(5).see("pmd", turned(START_S + 5.0, 19.0)).status.reason
+    assert ", limit 16.8: 19.0 deg and 0 mm from the prediction over 0.00 s, " in reason
+    assert reason.endswith("are wrong: compare them with rpod driver check --against")
+
+
 def test_a_camera_is_offered_the_tracked_pose_and_joins_when_the_lidars_next_two_frames_agree():
     desk = tracking_by_lidar()
     for second in (3.0, 4.0):
