@@ -2,17 +2,31 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import model_validator
+from pydantic import AfterValidator, model_validator
 
 from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.config.tuning import Provenance, Tuning
 from rpod_schemas.poses import Attitude
 
 
+_SHORTEST_S = 3600.0
+"""Shortest period of an orbit, s: sqrt(3 pi / (G rho)) at the surface of a body of the density rho is 5,060 s at
+the Earth, and 4,230 s at one of iron."""
+
+
+def _possible(period_s: float) -> float:
+    if period_s < _SHORTEST_S:
+        raise ValueError(
+            f"is {period_s:g} s, needs {_SHORTEST_S:g} s or more: no body is dense enough for a shorter orbit; "
+            "state the period in seconds"
+        )
+    return period_s
+
+
 class OrbitConfig(Config):
     """The target's circular orbit, and the chaser's attitude in the orbital frame (ICD section 1)."""
 
-    period_s: Positive
+    period_s: Annotated[Positive, AfterValidator(_possible)]
     """Period of the target's orbit, s. Set it to that of the mission's orbit, some 6,000 s in low orbits."""
     R_orbit_chaser: Attitude | None = None
     """Attitude of the chaser in the orbital frame, if it holds one there. Leave it out where ``chaser/imu``

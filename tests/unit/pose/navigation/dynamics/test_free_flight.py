@@ -196,6 +196,14 @@ def test_an_orbit_without_an_attitude_in_it_is_refused():
         check(DynamicsConfig, {"orbit": {"period_s": 6000.0}}, source="here")
 
 
+def test_an_orbit_that_no_body_can_have_is_refused():
+    orbit = {"period_s": 100.0, "R_orbit_chaser": {"quaternion_xyzw": [0, 0, 0, 1]}}  # in minutes
+    with pytest.raises(
+        ConfigurationError, match=r"orbit.period_s: is 100 s, needs 3600 s or more: .* seconds"
+    ):
+        check(DynamicsConfig, {"orbit": orbit}, source="here")
+
+
 def test_a_body_of_revolution_is_not_predicted_without_torque():
     free = Equivalence.of([Symmetry((0.0, 0.0, 1.0), 1, exact=True, continuous=True)])
     target = replace(MOCKUP, symmetries=())
