@@ -8,17 +8,16 @@ from rpod_schemas.config.base import Config, NonNegative, Positive
 from rpod_schemas.config.tuning import Provenance, Tuning
 from rpod_schemas.poses import Attitude
 
-
 _SHORTEST_S = 3600.0
-"""Shortest period of an orbit, s: sqrt(3 pi / (G rho)) at the surface of a body of the density rho is 5,060 s at
-the Earth, and 4,230 s at one of iron."""
+"""Shortest period of an orbit, s: sqrt(3 pi / (G rho)) at the surface of a body of density rho is 5,060 s at the
+Earth, and 4,230 s at one of iron."""
 
 
 def _possible(period_s: float) -> float:
     if period_s < _SHORTEST_S:
         raise ValueError(
-            f"is {period_s:g} s, needs {_SHORTEST_S:g} s or more: no body is dense enough for a shorter orbit; "
-            "state the period in seconds"
+            f"is {period_s:g} s, needs {_SHORTEST_S:g} s or more: no body is dense enough for a shorter "
+            "orbit; state the period in seconds"
         )
     return period_s
 
