@@ -9,8 +9,8 @@ from rpod_schemas.config.tuning import Provenance, Tuning
 from rpod_schemas.poses import Attitude
 
 _SHORTEST_S = 3600.0
-"""Shortest period of an orbit, s: sqrt(3 pi / (G rho)) at the surface of a body of density rho is 5,060 s at the
-Earth, and 4,230 s at one of iron."""
+"""Shortest period of an orbit, s. At the surface of a body of density rho it is sqrt(3 pi / (G rho)): 5,060 s
+at the Earth, and 4,230 s at one of iron."""
 
 
 def _possible(period_s: float) -> float:
