@@ -149,8 +149,13 @@ def imu_of(model: MotionModel | None) -> ImuTrack | None:
 
 
 def relied_on(state: FilterState) -> str:
-    """Return what the prediction of a state relies on beside the sensors, for an operator; empty for none."""
-    model = state.model.measured if isinstance(state.model, Turning) else state.model
+    """Return what the prediction of a state relies on beside the sensors, for an operator; empty for none.
+
+    Where poses contradict it, this is told instead.
+    """
+    model = state.model
+    if isinstance(model, Turning):  # poses have contradicted it
+        return f"; {told(doubts(state))}"
     if not isinstance(model, FreeMotion):
         return ""
     chaser, parts = model.chaser, []

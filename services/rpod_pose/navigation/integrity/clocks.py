@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rpod_pose.navigation.dynamics.slewing import relied_on
 from rpod_pose.navigation.filter import ATTITUDE, POSE, POSITION, FilterState, separation_of
 from rpod_pose.navigation.filter.rotations import cross_matrix
 from rpod_pose.navigation.integrity.levels import declared_covariance
@@ -81,7 +82,8 @@ def clock_test(
         return None
     angle_deg, length_m = np.rad2deg(np.linalg.norm(apart[ATTITUDE])), np.linalg.norm(apart[POSITION])
     differ = f"; they differ by {angle_deg:.2f} deg and {1e3 * length_m:.0f} mm: mounts, or "
-    return Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, differ + late.describe(pair)), late
+    cause = differ + late.describe(pair) + relied_on(estimate)
+    return Statistic(name, (late.offset_s / late.sigma_s) ** 2, 1, cause), late
 
 
 def mount_test(offset: MountOffset, estimate: FilterState, config: IntegrityConfig) -> Statistic:

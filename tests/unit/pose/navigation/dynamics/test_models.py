@@ -19,13 +19,15 @@ from rpod_pose.navigation.dynamics.free_motion import (
 )
 from rpod_pose.navigation.dynamics.imu_track import ImuTrack
 from rpod_pose.navigation.dynamics.relative_orbit import inertial_transition, transition
-from rpod_pose.navigation.dynamics.slewing import relied_on
+from rpod_pose.navigation.dynamics.slewing import Turning, relied_on
 from rpod_pose.navigation.dynamics.torque_free import Inertia, constant_rate, curvature, torque_free
 from rpod_pose.navigation.filter import ATTITUDE, Block, FilterState, innovation_of, predict, to_odometry
 from rpod_pose.navigation.filter.rotations import cross_matrix
+from rpod_pose.navigation.integrity.clocks import Pair, clock_test
 from rpod_pose.navigation.integrity.residuals import residual_of, residual_tests
 from rpod_schemas.config.estimator.dynamics import CommandTuning
 from rpod_schemas.config.estimator.filter import FilterConfig
+from rpod_schemas.config.estimator.integrity import IntegrityConfig
 from rpod_schemas.poses import make_pose, rotation_of
 from rpod_schemas.topics import CHASER
 from rpod_schemas.types import ImuReading
@@ -275,6 +277,18 @@ def test_what_a_prediction_relies_on_is_told_with_a_pose_that_contradicts_it(mod
     found = innovation_of(state, pose, 1e-6 * np.eye(6), config=FILTER)
     tests, _ = residual_tests("pmd", [residual_of(state, found, state.stamp_ns)], dof=6, correlated_s=1.0)
     assert all(test.describe(1e-6).endswith(told) for test in tests)
+
+
+def test_the_difference_of_two_sensors_before_a_chaser_that_turns_names_it_beside_the_clock():
+    """Filters without one sensor go on with a held attitude, so that they differ without a wrong mount."""
+    state = replace(a_state(()), model=Turning(FreeMotion(Held()), ()))
+    moved = make_pose(translation_m=state.T_chaser_target.translation + state.velocity_m_s)
+    other = replace(state, T_chaser_target=moved)
+    test, _ = clock_test(Pair("lidar", "pmd"), state, other, estimate=state, config=IntegrityConfig())
+    assert test.cause.endswith(
+        " against those of lidar; the chaser turns without a known rate, so that no gap is bridged (set "
+        "dynamics.imu)"
+    )
 
 
 def test_readings_that_are_not_newer_are_not_used():
