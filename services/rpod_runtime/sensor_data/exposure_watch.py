@@ -10,14 +10,15 @@ the pixel was when the amplitude was taken.
 from collections import deque
 from collections.abc import Collection
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from rpod_schemas.arrays import FloatArray
 from rpod_schemas.messages import NANOSECONDS
-from rpod_schemas.types import PmdFrame
+from rpod_schemas.types import Float32Array, PmdFrame
 
 _STEP, _NOISES = 0.03, 6.0
 """Least change of a range that shows an outline: a share of the range, and a multiple of the usual change."""
@@ -112,52 +113,85 @@ def votes(before: PmdFrame, after: PmdFrame) -> Votes:
         after: the next frame of the same size, with an amplitude.
     """
     assert after.amplitude is not None  # noqa: S101 - the caller's condition
-    ranges_m = np.stack([before.depth_m, after.depth_m]).astype(np.float64)
-    ranges_m[~(np.isfinite(ranges_m) & (ranges_m > 0.0))] = np.inf
-    changed, step_m = _changed(ranges_m)
+    changed, least_m = _changed(before.depth_m, after.depth_m)
     rows, columns = np.nonzero(changed)
     some = np.random.default_rng(0).permutation(rows.size)[:_MOST_PIXELS]
-    behind = now = 0
-    for row, column in zip(rows[some].tolist(), columns[some].tolist(), strict=True):
-        own_m = ranges_m[:, row, column]
-        between_m = own_m.mean() if np.isfinite(own_m).all() else own_m.min() + step_m[row, column]
-        around = np.s_[
-            max(row - _AROUND, 0) : row + _AROUND + 1, max(column - _AROUND, 0) : column + _AROUND + 1
-        ]
-        shade = np.asarray(after.amplitude[around], np.float64)
-        is_near = _shows_near(
-            float(after.amplitude[row, column]), shade, ranges_m[1][around] <= between_m, ~changed[around]
-        )
-        if is_near is not None:
-            was_near = bool(own_m[0] <= between_m)
-            behind, now = behind + (is_near == was_near), now + (is_near != was_near)
-    return Votes(behind, now)
+    rows, columns = rows[some], columns[some]
+    own_m = np.stack([_ranges(frame.depth_m[rows, columns]) for frame in (before, after)])
+    nearest_m, farther_m = own_m.min(axis=0), own_m.max(axis=0)
+    edge_m = nearest_m + np.maximum(_STEP * nearest_m, least_m)
+    between_m = np.where(np.isfinite(farther_m), own_m.mean(axis=0), edge_m)
+    near = _ranges(_around(after.depth_m, rows, columns, 0.0)) <= between_m[:, None]
+    still = _around(~changed, rows, columns, False)  # noqa: FBT003 - what stands beyond the image
+    shade = _around(after.amplitude, rows, columns, 0).astype(np.float64)
+    shows_near, is_clear = _shows_near(after.amplitude[rows, columns].astype(np.float64), shade, near, still)
+    was_near = own_m[0] <= between_m
+    behind = int(np.count_nonzero(is_clear & (shows_near == was_near)))
+    return Votes(behind, int(np.count_nonzero(is_clear)) - behind)
 
 
-def _changed(ranges_m: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return which pixels an outline has passed, and the least change of their range that counts, m.
+def _around(
+    image: NDArray[Any], rows: NDArray[np.int64], columns: NDArray[np.int64], beyond: float
+) -> NDArray[Any]:
+    """Return the pixels around each of N pixels, shape (N, P); ``beyond`` stands outside of the image."""
+    size = 2 * _AROUND + 1
+    padded = np.pad(image, _AROUND, constant_values=beyond)
+    return sliding_window_view(padded, (size, size))[rows, columns].reshape(len(rows), size * size)
+
+
+def _ranges(depth_m: Float32Array) -> FloatArray:
+    """Return the ranges of pixels, m, of any shape; infinite without one."""
+    return np.where(_is_measured(depth_m), depth_m, np.inf).astype(np.float64)
+
+
+def _is_measured(depth_m: Float32Array) -> NDArray[np.bool_]:
+    return np.isfinite(depth_m) & (depth_m > 0.0)
+
+
+def _changed(before_m: Float32Array, after_m: Float32Array) -> tuple[NDArray[np.bool_], float]:
+    """Return which pixels an outline has passed, and the least change of any range that counts, m.
+
+    A change also has to be ``_STEP`` of the range.
 
     Args:
-        ranges_m: ranges of two frames, infinite without one, shape (2, height, width).
+        before_m: depth of a frame, shape (height, width).
+        after_m: depth of the next one, same shape.
     """
-    measured = np.isfinite(ranges_m)
-    both = measured.all(axis=0)
-    moved_m = np.where(both, np.abs(np.diff(np.where(both, ranges_m, 0.0), axis=0)[0]), 0.0)
-    usual_m = float(np.median(moved_m[both])) if both.any() else 0.0
-    nearest_m = ranges_m.min(axis=0)
-    step_m = np.maximum(_STEP * np.where(np.isfinite(nearest_m), nearest_m, 0.0), _NOISES * usual_m)
-    return (measured[0] != measured[1]) | (moved_m > step_m), step_m
+    measured = _is_measured(before_m), _is_measured(after_m)
+    both = measured[0] & measured[1]
+    one_m, other_m = before_m[both].astype(np.float64), after_m[both].astype(np.float64)
+    moved_m = np.abs(other_m - one_m)
+    least_m = _NOISES * float(np.median(moved_m)) if moved_m.size else 0.0
+    changed: NDArray[np.bool_] = measured[0] != measured[1]
+    changed[both] = moved_m > np.maximum(_STEP * np.minimum(one_m, other_m), least_m)
+    return changed, least_m
 
 
 def _shows_near(
-    amplitude: float, shade: FloatArray, near: NDArray[np.bool_], still: NDArray[np.bool_]
-) -> bool | None:
-    """Return whether an amplitude is that of the nearer surface beside it; None if it is not clear."""
-    sides = [shade[still & side] for side in (near, ~near)]
-    if min(side.size for side in sides) < _LEAST_BESIDE:
-        return None
-    middles = [float(np.median(side)) for side in sides]
-    spread = sum(float(np.median(np.abs(side - middle))) for side, middle in zip(sides, middles, strict=True))
-    if abs(middles[0] - middles[1]) <= _CLEAR * spread:
-        return None
-    return abs(amplitude - middles[0]) < abs(amplitude - middles[1])
+    amplitude: FloatArray, shade: FloatArray, near: NDArray[np.bool_], still: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return whether amplitudes are those of the nearer surfaces beside them, and whether this is clear.
+
+    Args:
+        amplitude: amplitudes of N pixels, shape (N,).
+        shade: amplitudes around each of them, shape (N, P).
+        near: which of these pixels are of the nearer surface, same shape.
+        still: which of them no outline has passed, same shape.
+    """
+    sides = still & near, still & ~near
+    middles = [_medians(shade, side) for side in sides]
+    spreads = [
+        _medians(np.abs(shade - middle[:, None]), side) for side, middle in zip(sides, middles, strict=True)
+    ]
+    enough = np.minimum(*(np.count_nonzero(side, axis=1) for side in sides)) >= _LEAST_BESIDE
+    with np.errstate(invalid="ignore"):  # surfaces without a pixel
+        is_clear = enough & (np.abs(middles[0] - middles[1]) > _CLEAR * (spreads[0] + spreads[1]))
+        return np.abs(amplitude - middles[0]) < np.abs(amplitude - middles[1]), is_clear
+
+
+def _medians(values: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
+    """Return the median of the used values of each row, shape (N, P) to (N,); infinite without any."""
+    ordered = np.sort(np.where(used, values, np.inf), axis=1)
+    count, row = np.count_nonzero(used, axis=1), np.arange(len(ordered))
+    middle: FloatArray = 0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2])
+    return middle
