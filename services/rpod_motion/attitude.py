@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import cos, sin
 from typing import Protocol
 
@@ -14,7 +15,8 @@ from rpod_schemas.arrays import FloatArray
 RELATIVE_TOLERANCE = 1e-12
 """Relative tolerance of the integration; the relative error of the energy is about as large after hundreds of
 turns."""
-
+_REMEMBERED = 8
+"""Number of times for which an interpolated attitude is remembered."""
 
 _X, _Y, _Z = np.eye(3)
 
@@ -148,7 +150,8 @@ def integrate_tumble(
             raise MotionError(
                 f"the tumbling cannot be integrated: {result.message}; lower the rate or the duration"
             )
-        return result.sol
+        # of one tick, the trajectory and the attitude ask for the same times
+        return lru_cache(maxsize=_REMEMBERED)(result.sol)
 
     return Tumble(inverse, momentum, before=solution(span_s[0]), after=solution(span_s[1]))
 

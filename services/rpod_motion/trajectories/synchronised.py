@@ -1,6 +1,7 @@
 """Trajectories on which the chaser turns: with the target as it flies around it, or to and fro."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import cos, pi, sin
 
 import numpy as np
@@ -27,15 +28,23 @@ class Synchronised:
 
     def state(self, time_s: float) -> TrajectoryState:
         """Return the state at a time from the epoch."""
-        state = self.path.state(time_s)
-        at_rest = replace(state, R_epoch_chaser=np.eye(3), chaser_angular_rad_s=np.zeros(3))
-        R_chaser_target, _ = self.attitude.relative(0.0, at_rest)
-        R_epoch_target, rate_rad_s = self.attitude.relative(time_s, at_rest)
+        state, R_chaser_target = self.path.state(time_s), self._R_chaser_target
+        R_epoch_target, rate_rad_s = self.attitude.relative(time_s, _at_rest(state))
         return replace(
             state,
             R_epoch_chaser=R_epoch_target @ R_chaser_target.T,
             chaser_angular_rad_s=R_chaser_target @ rate_rad_s,
         )
+
+    @cached_property
+    def _R_chaser_target(self) -> FloatArray:
+        """The attitude to the target at the epoch, which the chaser keeps, shape (3, 3)."""
+        return self.attitude.relative(0.0, _at_rest(self.path.state(0.0)))[0]
+
+
+def _at_rest(state: TrajectoryState) -> TrajectoryState:
+    """Return the state of a chaser in the epoch axes."""
+    return replace(state, R_epoch_chaser=np.eye(3), chaser_angular_rad_s=np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
