@@ -67,7 +67,7 @@ class FaultPlayer:
         self._lock = Lock()
         self._faults: list[_Playing] = []
         self._epoch_ns = 0
-        self._over = Event()
+        self._asked, self._over = Event(), Event()
         node.serve("fault", FaultRequest, self._request)
 
     @contextmanager
@@ -86,6 +86,7 @@ class FaultPlayer:
             yield
         finally:
             self._over.set()
+            self._asked.set()
             thread.join()
 
     def _request(self, request: FaultRequest) -> Accepted:
@@ -108,8 +109,10 @@ class FaultPlayer:
             if len(self._faults) >= _MOST_FAULTS:
                 raise RefusedError(f"{_MOST_FAULTS} faults are planned or active already; wait for their end")
             self._faults.append(_Playing(asked, begin_ns, end_ns))
+        self._asked.set()
 
     def _play(self) -> None:
+        self._asked.wait()  # without a fault there is nothing to do
         while not self._over.wait(_TURN_S):
             self._turn(time.time_ns())
         self._turn(_ALWAYS_NS)

@@ -83,6 +83,11 @@ class Progress:
         if self._live:
             self._live.stop()
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether anything is printed."""
+        return not self._console.quiet
+
     def say(self, text: str) -> None:
         """Print a message about the run."""
         if text == self._said:

@@ -123,13 +123,15 @@ def play(
         if view:
             services.start(_VIEW, facility.view, optional=True)
         with _client(services, facility, interrupted) as node:
-            progress.watch(node, scenario, lockstep=speed == "max")
+            if progress.is_shown:  # else the services have the time that reading these messages takes
+                progress.watch(node, scenario, lockstep=speed == "max")
             _await_ready(node, services, facility, interrupted, progress)
             player = FaultPlayer(node, services, scenario)
             epoch_ns = _start(node, scenario, speed)
+            lasts_s = 0.0 if speed == "max" else scenario.duration_s
             try:
                 with player.playing(epoch_ns):
-                    _await_end(node, services, interrupted, progress)
+                    _await_end(node, services, interrupted, progress, lasts_s=lasts_s)
             except InterruptedRunError:
                 _stop(node, services, facility)
                 raise
@@ -214,8 +216,15 @@ def _start(node: Node, scenario: Scenario, speed: Speed) -> int:
     return epoch_ns
 
 
-def _await_end(node: Node, services: Supervisor, interrupted: Event, progress: Progress) -> None:
-    while _state(node, "motion") != "finished":
+def _await_end(
+    node: Node, services: Supervisor, interrupted: Event, progress: Progress, *, lasts_s: float
+) -> None:
+    """Wait until motion has played a scenario; it is asked only when ``lasts_s`` are over.
+
+    Each answer has the whole configuration, and takes time that the services need.
+    """
+    begin_s = time.monotonic()
+    while time.monotonic() - begin_s < lasts_s or _state(node, "motion") != "finished":
         _check(services, interrupted)
         progress.update()
         time.sleep(_POLL_S)  # not Event.wait: the signal handler that sets the event would wait for its lock
