@@ -7,6 +7,7 @@ solution like those without one sensor: the protection level includes it, and a 
 estimate.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, hypot, inf, isfinite, pi, sqrt
@@ -264,8 +265,8 @@ def _log_odds(
     """
     span_s = (frames[-1][0] - frames[0][0]) * 1e-9
     weight = min(1.0, (1.0 + (span_s / correlated_s if correlated_s else inf)) / len(frames))
-    found = []
-    for size in frames[-1][1]:
-        logs = (each.log_odds for _, sizes in frames for each in sizes if each.share == size.share)
-        found.append((size, min(weight * sum(logs), size.most_log_odds)))
-    return found
+    logs = defaultdict[float, list[float]](list)
+    for _, sizes in frames:
+        for each in sizes:
+            logs[each.share].append(each.log_odds)
+    return [(size, min(weight * sum(logs[size.share]), size.most_log_odds)) for size in frames[-1][1]]

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from functools import cache
 from math import ceil, degrees, exp, log
 from operator import neg
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import chdtri, ndtr
@@ -87,16 +88,46 @@ def solution(name: str, estimate: FilterState, other: FilterState, probability: 
 
 
 def protection_levels(solutions: Sequence[Solution], unseen: FloatArray, risk: float) -> Levels:
-    """Return the levels of an estimate; attitude and position get half of the risk each.
+    """Return the levels of an estimate; arguments as for ``LevelsOf`` and its ``by``."""
+    return LevelsOf(unseen, risk).by(solutions)
+
+
+class LevelsOf:
+    """Returns the levels of an estimate; attitude and position get half of the risk each.
 
     Args:
-        solutions: the solution with all measurements first, then those of the fault hypotheses.
         unseen: covariance of the declared errors, shape (6, 6), as ``declared_covariance`` returns it.
         risk: probability that an error exceeds its level.
     """
-    position_m, position_by = _level(solutions, POSITION, unseen, 0.5 * risk)
-    attitude_rad, attitude_by = _level(solutions, ATTITUDE, unseen, 0.5 * risk)
-    return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
+
+    def __init__(self, unseen: FloatArray, risk: float) -> None:
+        self._unseen, self._risk = unseen, 0.5 * risk
+        self._tails: dict[tuple[Solution, int], _Tail | None] = {}
+        """Tails of the solutions so far, by the first index of the part; None if a covariance is unknown."""
+
+    def by(self, solutions: Sequence[Solution]) -> Levels:
+        """Return the levels by some solutions: that with all measurements first, then the hypotheses'."""
+        position_m, position_by = self._level(solutions, POSITION)
+        attitude_rad, attitude_by = self._level(solutions, ATTITUDE)
+        return Levels(min(degrees(attitude_rad), 180.0), position_m, attitude_by, position_by)
+
+    def _level(self, solutions: Sequence[Solution], part: slice) -> tuple[float, str]:
+        """Return the level of a part and what determines it; NaN if a solution's covariance is unknown."""
+        tails = []
+        for each in solutions:
+            tail = self._tail(each, part)
+            if tail is None:
+                return float("nan"), each.name
+            tails.append(tail)
+        return _level(tails, self._risk)
+
+    def _tail(self, solution: Solution, part: slice) -> "_Tail | None":
+        key = solution, part.start
+        if key not in self._tails:
+            covariance = (solution.covariance + self._unseen)[part, part]
+            known = np.isfinite(covariance).all()
+            self._tails[key] = _Tail.of(solution, part, covariance) if known else None
+        return self._tails[key]
 
 
 def declared_covariance(
@@ -158,50 +189,61 @@ def above(levels: Levels, limit_deg: float, limit_m: float) -> str:
     return ""
 
 
-class _Tail:
+class _Tail(NamedTuple):
     """Probability that the error under a hypothesis is above a length, times that of the hypothesis."""
 
-    def __init__(self, solution: Solution, part: slice, covariance: FloatArray) -> None:
-        self.name, self.probability = solution.name, solution.probability
-        self._apart = float(np.linalg.norm(solution.separation[part]))
-        self._sigma, self._table = _shape_of(covariance)
+    apart: float
+    """Length of the separation."""
+    sigma: float
+    """Standard deviation of the solution in its worst direction."""
+    table: tuple[float, ...]
+    """Log probabilities of the tail, as of ``_log_tail``."""
+    probability: float
+    """Probability of the hypothesis."""
+    name: str
+    """Name of the hypothesis."""
 
-    def above(self, length: float) -> float:
-        """Return the probability that the hypothesis is true and the error above a length."""
-        place = (length - self._apart) / self._sigma / _STEP
-        if place <= 0.0:
-            return self.probability
-        lower = min(int(place), len(self._table) - 2)
-        low, high = self._table[lower], self._table[lower + 1]
-        return self.probability * exp(low + (high - low) * (place - lower))
+    @classmethod
+    def of(cls, solution: Solution, part: slice, covariance: FloatArray) -> Self:
+        """Return the tail of a part of a solution's error, which has a covariance."""
+        apart = float(np.linalg.norm(solution.separation[part]))
+        return cls(apart, *_shape_of(covariance), solution.probability, solution.name)
 
     def length(self, risk: float) -> float:
         """Return the length that the error exceeds with a probability, under this hypothesis alone."""
         if risk >= self.probability:
             return 0.0
-        return self._apart + self._sigma * _quantile(self._table, risk / self.probability)
+        return self.apart + self.sigma * _quantile(self.table, risk / self.probability)
 
 
-def _level(solutions: Sequence[Solution], part: slice, unseen: FloatArray, risk: float) -> tuple[float, str]:
+def _level(tails: Sequence[_Tail], risk: float) -> tuple[float, str]:
     """Return the length that the error exceeds with at most ``risk``, and the hypothesis with most of it.
 
     The probabilities of all hypotheses at this length add up to the risk. A hypothesis that is less probable
-    than what the others leave of it has no part in the level. The level is NaN if the covariance of any
-    solution is unknown.
+    than what the others leave of it has no part in the level.
     """
-    tails = []
-    for each in solutions:
-        covariance = (each.covariance + unseen)[part, part]
-        if not np.isfinite(covariance).all():
-            return float("nan"), each.name
-        tails.append(_Tail(each, part, covariance))
     low = max(tail.length(risk) for tail in tails)
     high = max(low, *(tail.length(risk / len(tails)) for tail in tails))
     for _ in range(_HALVINGS):
         between = 0.5 * (low + high)
-        enough = sum(tail.above(between) for tail in tails) <= risk
+        enough = sum(_above(tails, between)) <= risk
         low, high = (low, between) if enough else (between, high)
-    return high, max(tails, key=lambda tail: tail.above(high)).name
+    parts = _above(tails, high)
+    return high, tails[parts.index(max(parts))].name
+
+
+def _above(tails: Sequence[_Tail], length: float) -> list[float]:
+    """Return the probabilities that a hypothesis is true and the error above a length, for each one."""
+    found = []
+    for apart, sigma, table, probability, _ in tails:  # many times for each frame: no calls
+        place = (length - apart) / sigma / _STEP
+        if place <= 0.0:
+            found.append(probability)
+            continue
+        lower = min(int(place), len(table) - 2)
+        low, high = table[lower], table[lower + 1]
+        found.append(probability * exp(low + (high - low) * (place - lower)))
+    return found
 
 
 def _shape_of(covariance: FloatArray) -> tuple[float, tuple[float, ...]]:

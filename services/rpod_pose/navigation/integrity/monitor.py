@@ -10,7 +10,7 @@ nothing: a wrong mount, a clock's offset at constant speed, a slow drift of rang
 standard deviation that the configuration declares for such an error.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -23,10 +23,9 @@ from rpod_pose.navigation.integrity.clocks import Pair, mount_test
 from rpod_pose.navigation.integrity.declared_states import declared_tests
 from rpod_pose.navigation.integrity.levels import (
     Levels,
-    Solution,
+    LevelsOf,
     above,
     declared_covariance,
-    protection_levels,
     solution,
 )
 from rpod_pose.navigation.integrity.memory import Memory
@@ -281,10 +280,7 @@ class Monitor:
         followed = memory.frames.ranges_followed(estimate, without, place_m)
         twist = estimate.velocity_m_s, estimate.rate_rad_s
         unseen = declared_covariance(self._config, place_m, *twist, followed=followed)
-
-        def levels_of(chosen: Sequence[Solution]) -> Levels:
-            return protection_levels(chosen, unseen, self._config.risk)
-
+        levels_of = LevelsOf(unseen, self._config.risk).by
         parts = memory.frames.solutions(estimate, place_m, share, self._tuning.range_share)
         for part in parts:
             if vague := above(levels_of([part.agreeing]), *limit):
