@@ -4,6 +4,7 @@ The integrity of a result follows from this result, from the results before it a
 estimate depends on it. So it is the same, bit for bit, whenever it is computed, as long as the order is kept.
 """
 
+import sys
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,6 +14,10 @@ from typing import Self
 MOST_WAITING = 1
 """Largest number of results that are not judged yet while the next frame is processed: the integrity is at
 most one result behind the estimate."""
+_SWITCH_S = 2e-4
+"""Time for which a thread keeps the interpreter's lock while another one waits for it, s; Python's own is
+5 ms. The main loop gives the lock away in each kernel, and a judgement, mostly Python code, takes it. With
+5 ms the main loop waited 23 ms for it in each image of ``envisat-capture``, with this time 5 to 8 ms."""
 
 
 class Judging:
@@ -26,6 +31,7 @@ class Judging:
     def __init__(self, *, at_once: bool) -> None:
         self._waiting: deque[Future[None]] = deque()
         self._pool = None if at_once else ThreadPoolExecutor(1, thread_name_prefix="judging")
+        self._usual_s = sys.getswitchinterval()
 
     def add(self, judge: Callable[[], None]) -> None:
         """Run a judgement after those before it; wait while too many of them are not done.
@@ -50,6 +56,8 @@ class Judging:
             self._waiting.popleft().result()
 
     def __enter__(self) -> Self:
+        if self._pool is not None:
+            sys.setswitchinterval(_SWITCH_S)
         return self
 
     def __exit__(
@@ -58,5 +66,6 @@ class Judging:
         if self._pool is None:
             return
         self._pool.shutdown()
+        sys.setswitchinterval(self._usual_s)
         if error is None:
             self._await(0)

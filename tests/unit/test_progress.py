@@ -22,6 +22,11 @@ class FakeNode:
         pass
 
 
+def test_what_is_not_shown_need_not_be_watched():
+    assert not Progress(quiet=True).is_shown
+    assert Progress(quiet=False).is_shown
+
+
 @pytest.mark.parametrize(
     ("lockstep", "words"), [(False, "pmd 3.0 Hz"), (True, "pmd 3.0 frames a second of real time")]
 )

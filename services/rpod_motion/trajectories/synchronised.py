@@ -28,7 +28,7 @@ class Synchronised:
 
     def state(self, time_s: float) -> TrajectoryState:
         """Return the state at a time from the epoch."""
-        state, R_chaser_target = self.path.state(time_s), self._R_chaser_target
+        state, R_chaser_target = self.path.state(time_s), self._attitude_kept
         R_epoch_target, rate_rad_s = self.attitude.relative(time_s, _at_rest(state))
         return replace(
             state,
@@ -37,7 +37,7 @@ class Synchronised:
         )
 
     @cached_property
-    def _R_chaser_target(self) -> FloatArray:
+    def _attitude_kept(self) -> FloatArray:
         """The attitude to the target at the epoch, which the chaser keeps, shape (3, 3)."""
         return self.attitude.relative(0.0, _at_rest(self.path.state(0.0)))[0]
 

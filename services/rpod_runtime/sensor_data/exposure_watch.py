@@ -122,7 +122,7 @@ def votes(before: PmdFrame, after: PmdFrame) -> Votes:
     edge_m = nearest_m + np.maximum(_STEP * nearest_m, least_m)
     between_m = np.where(np.isfinite(farther_m), own_m.mean(axis=0), edge_m)
     near = _ranges(_around(after.depth_m, rows, columns, 0.0)) <= between_m[:, None]
-    still = _around(~changed, rows, columns, False)  # noqa: FBT003 - what stands beyond the image
+    still = _around(~changed, rows, columns, False)
     shade = _around(after.amplitude, rows, columns, 0).astype(np.float64)
     shows_near, is_clear = _shows_near(after.amplitude[rows, columns].astype(np.float64), shade, near, still)
     was_near = own_m[0] <= between_m

@@ -1,5 +1,6 @@
 """Judgements in a thread of their own, in their order."""
 
+from sys import getswitchinterval
 from threading import Event, get_ident
 
 import pytest
@@ -25,6 +26,14 @@ def test_judgements_keep_their_order_and_the_caller_goes_on():
         judging.add(lambda: done.append(("next", get_ident())))
     assert [name for name, _ in done] == ["slow", "next"]
     assert get_ident() not in {thread for _, thread in done}
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_the_main_loop_gets_the_lock_back_soon_while_another_thread_judges(at_once):
+    before_s = getswitchinterval()
+    with Judging(at_once=at_once):
+        assert (getswitchinterval() < 0.1 * before_s) is not at_once
+    assert getswitchinterval() == pytest.approx(before_s)
 
 
 def test_at_most_one_judgement_waits():

@@ -115,6 +115,16 @@ def test_a_synchronised_chaser_sees_the_target_at_rest_but_for_the_way_and_the_s
     np.testing.assert_allclose(rate, state.chaser_angular_rad_s, atol=1e-5)
 
 
+def test_a_state_is_the_same_whatever_was_asked_before() -> None:
+    asked, fresh = (synchronised(TumbleConfig(rate_deg_s=[2.0, 2.5, 1.5])) for _ in range(2))
+    times_s = [-0.5, *np.arange(0.0, 1.0, 0.05).tolist(), 0.0, 0.5, -0.5, 3.0]
+    answers = [asked.state(time_s) for time_s in times_s]
+    alone = fresh.state(3.0)
+    for name in ("R_epoch_chaser", "linear_m_s", "angular_rad_s", "chaser_angular_rad_s"):
+        assert np.array_equal(getattr(answers[-1], name), getattr(alone, name)), name
+        assert np.array_equal(getattr(answers[-2], name), getattr(answers[0], name)), name
+
+
 @pytest.mark.parametrize("attitude", [FixedAttitudeConfig(), SwayConfig()], ids=lambda one: one.kind)
 def test_an_approach_cannot_be_synchronised_with_an_attitude_relative_to_the_chaser(attitude) -> None:
     with pytest.raises(MotionError, match=f"relative to the chaser .{attitude.kind} is"):

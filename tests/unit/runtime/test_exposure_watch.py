@@ -59,6 +59,46 @@ def test_a_majority_counts_if_it_is_no_chance(before, now, is_behind):
     assert Votes(before, now).is_behind is is_behind
 
 
+def one_by_one(before, after):
+    """Return the votes of few changed pixels, pixel by pixel as the module describes them."""
+    ranges_m = np.stack([frame.depth_m.astype(float) for frame in (before, after)])
+    ranges_m[~(np.isfinite(ranges_m) & (ranges_m > 0.0))] = np.inf
+    both = np.isfinite(ranges_m).all(axis=0)
+    moved_m = np.where(both, np.abs(np.subtract(*np.where(both, ranges_m, 0.0))), 0.0)
+    nearest_m = ranges_m.min(axis=0)
+    step_m = np.maximum(
+        0.03 * np.where(np.isfinite(nearest_m), nearest_m, 0.0), 6.0 * np.median(moved_m[both])
+    )
+    changed = (np.isfinite(ranges_m[0]) != np.isfinite(ranges_m[1])) | (moved_m > step_m)
+    rows, columns = np.nonzero(changed)
+    counts = [0, 0]
+    for place in np.random.default_rng(0).permutation(rows.size)[:120]:
+        row, column = rows[place], columns[place]
+        own_m = ranges_m[:, row, column]
+        middle_m = own_m.mean() if both[row, column] else own_m.min() + step_m[row, column]
+        around = np.s_[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5]
+        near, shade = ranges_m[1][around] <= middle_m, after.amplitude[around].astype(float)
+        sides = [shade[~changed[around] & side] for side in (near, ~near)]
+        if min(map(len, sides)) < 4:
+            continue
+        middles = [np.median(side) for side in sides]
+        spread = sum(np.median(np.abs(side - middle)) for side, middle in zip(sides, middles, strict=True))
+        if abs(middles[0] - middles[1]) > 3.0 * spread:
+            light = float(after.amplitude[row, column])
+            is_near = abs(light - middles[0]) < abs(light - middles[1])
+            counts[int(is_near != (own_m[0] <= middle_m))] += 1
+    return tuple(counts)
+
+
+@pytest.mark.parametrize("taken", [mockup_frames, walls])
+def test_all_pixels_at_once_vote_as_they_do_one_by_one(taken):
+    frames = taken()[:8]
+    pairs = [*pairwise(frames), *pairwise(behind(frames))]
+    found = [votes(*pair) for pair in pairs]
+    assert sum(map(sum, found)) > 50
+    assert found == [one_by_one(*pair) for pair in pairs]
+
+
 def test_where_nothing_moves_nothing_is_told():
     first = mockup_frames()[0]
     still = [

@@ -14,6 +14,7 @@ from rpod_pose.navigation.filter import POSE, innovation_of, start
 from rpod_pose.navigation.history import History, apply
 from rpod_pose.navigation.integrity.frame_evidence import FrameEvidence
 from rpod_pose.navigation.integrity.levels import (
+    LevelsOf,
     Solution,
     declared_covariance,
     protection_levels,
@@ -491,6 +492,21 @@ def test_a_hypothesis_that_is_less_probable_than_the_risk_has_no_part_in_the_lev
     alone = Solution("", np.zeros(6), 1e-6 * np.eye(6))
     far = Solution("far", np.r_[1.0, np.zeros(5)], 1e-6 * np.eye(6), 1e-7)
     assert protection_levels([alone, far], np.zeros((6, 6)), 1e-6).position_m < 0.01
+
+
+def test_levels_do_not_depend_on_what_was_asked_before():
+    generator = np.random.default_rng(3)
+    noises = [generator.standard_normal((6, 6)) * 1e-2 for _ in range(4)]
+    solutions = [
+        Solution(str(k), 1e-2 * generator.standard_normal(6), noise @ noise.T, 0.3**k)
+        for k, noise in enumerate(noises)
+    ]
+    levels = LevelsOf(1e-6 * np.eye(6), 1e-6)
+    for chosen in (solutions[:2], solutions, solutions[::2], solutions):
+        assert levels.by(chosen) == protection_levels(chosen, 1e-6 * np.eye(6), 1e-6)
+    unknown = replace(solutions[1], covariance=np.full((6, 6), np.inf))
+    assert np.isnan([levels.by([solutions[0], unknown]).position_m for _ in range(2)]).all()
+    assert levels.by(solutions) == protection_levels(solutions, 1e-6 * np.eye(6), 1e-6)
 
 
 def test_a_hypothesis_whose_covariance_is_not_known_leaves_no_level():
