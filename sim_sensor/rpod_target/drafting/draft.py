@@ -16,9 +16,9 @@ from rpod_target.drafting.materials import proposed
 from rpod_target.drafting.units import left_over, metres_per_unit, most_sides
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
-from rpod_target.mesh.files import MeshFile, companions, read_mesh_file
+from rpod_target.mesh.files import FORMATS, MeshFile, companions, read_mesh_file
 from rpod_target.mesh.folder import read_files
-from rpod_target.mesh.unusable import LARGEST_FILE_MB, NO_AREA
+from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.parameters import MaterialParameters
 from rpod_target.target import Target
 
@@ -87,7 +87,8 @@ def draft(
         TargetError: the CAD file cannot be read, its unit is not known, or the target cannot be built.
     """
     told: list[str] = []
-    say(f"reading {cad.name}")
+    _refuse_contradictions(cad, out, options)
+    say(f"reading {cad.name or cad}")
     mesh = _read(cad, options.largest_file_mb, told)
     scale = metres_per_unit(cad, mesh, options, told)
     told += left_over(mesh, scale)
@@ -125,6 +126,16 @@ def draft(
     return Draft(out, target, (*told, *target.repairs))
 
 
+def _refuse_contradictions(cad: Path, out: Path, options: DraftOptions) -> None:
+    """Refuse options of which one would be ignored, and a file that would be taken for a CAD file."""
+    if options.mass_kg is not None and options.density_kg_m3 is not None:
+        reason = f"is {options.density_kg_m3:g} beside a mass of {options.mass_kg:g} kg: give one of the two"
+        raise TargetError(cad, "--density-kg-m3", reason)
+    if out.suffix.lower() in FORMATS:
+        reason = f"ends with {out.suffix}, as a CAD file does: give another name, such as {cad.stem}.yaml"
+        raise TargetError(out, "--out", reason)
+
+
 def _keep(before: bytes | None, out: Path) -> list[str]:
     """Keep the file that the new text replaces, since it may have been corrected by hand; say where."""
     if before is None or before == out.read_bytes():
@@ -160,6 +171,11 @@ class _Sections:
         self._labels = _labels([material.name for material in mesh.materials], taken=bare)
         self._translation_m = self._origin()
         self._mass_line = self._mass()
+        if len(mesh.objects) > _MOST_PARTS:
+            self.told.append(
+                f"its {len(mesh.objects)} objects become one part, since more than {_MOST_PARTS} are no "
+                "parts of their own: to name, turn or ignore some of them, join the others in the CAD file"
+            )
 
     def text(self, symmetries: Sequence[str]) -> str:
         """Return the file's text with the lines of the symmetries."""
@@ -193,8 +209,6 @@ class _Sections:
             return np.zeros(3)
         corners = self._mesh.triangles
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        if not area.sum() > 0.0:
-            raise TargetError(self._cad, "", NO_AREA)
         centre_m = self._scale * (area @ corners.mean(axis=1)) / area.sum()
         self.told.append("the origin is the centre of area, not that of the file")
         return np.asarray(np.round(-centre_m, 9))

@@ -42,7 +42,7 @@ def metres_per_unit(cad: Path, mesh: MeshFile, options: StatedSize, told: list[s
         TargetError: the unit is not known, or makes an unusual size that is not confirmed.
     """
     longest = float(np.ptp(mesh.triangles, axis=(0, 1)).max())
-    if not longest > 0.0:
+    if not areas_m2(mesh.triangles).sum() > 0.0:
         raise TargetError(cad, "", NO_AREA)
     if options.units is not None and options.units not in METRES:
         raise TargetError(cad, "--units", f"is {options.units!r}; it must be one of {', '.join(METRES)}")
@@ -113,8 +113,6 @@ def most_sides(mesh: MeshFile) -> FloatArray:
     A drawing may have small things that were left over, far from the body.
     """
     area = np.repeat(areas_m2(mesh.triangles), 3)
-    if not area.sum() > 0.0:  # refused when it is built
-        return np.asarray(np.ptp(mesh.triangles, axis=(0, 1)))
     corners, sides = mesh.triangles.reshape(-1, 3), []
     for values in corners.T:
         order = np.argsort(values)

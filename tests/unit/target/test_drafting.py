@@ -81,14 +81,50 @@ def test_the_longest_side_decides_over_the_unit_and_that_is_told(cad: Path, cach
         (DraftOptions(), "--units: is missing, .* longest side is 4 units: it is 4 m with m, 0.4 m with dm"),
         (DraftOptions(units="inch"), "--units: is 'inch'; it must be one of m, dm, cm"),
         (DraftOptions(units="mm"), "longest side 0.004 m.*4 m with m, 0.4 m with dm.*--confirm-size"),
+        (
+            DraftOptions(units="m", mass_kg=50.0, density_kg_m3=10.0),
+            "--density-kg-m3: is 10 beside a mass of 50 kg: give one of the two",
+        ),
     ],
 )
-def test_a_scale_that_is_not_known_is_refused_and_no_file_is_left(
+def test_what_is_not_known_or_contradicts_is_refused_and_no_file_is_left(
     cad: Path, cache: Path, options: DraftOptions, reason: str
 ) -> None:
     with pytest.raises(TargetError, match=reason):
         draft(cad, cad.with_suffix(".yaml"), options, cache=cache)
     assert not cad.with_suffix(".yaml").exists()
+
+
+def test_a_parameter_file_with_the_ending_of_a_cad_file_is_refused_and_the_cad_file_is_kept(
+    cad: Path, cache: Path
+) -> None:
+    before = cad.read_bytes()
+    with pytest.raises(TargetError, match=r"--out: ends with \.obj, .*give another name, such as sat\.yaml"):
+        draft(cad, cad, DraftOptions(units="m"), cache=cache)
+    assert cad.read_bytes() == before
+
+
+def test_a_cad_file_without_area_is_named_in_the_error(tmp_path: Path, cache: Path) -> None:
+    (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    with pytest.raises(TargetError, match=r"^\S*line\.obj: contains no triangle with an area"):
+        draft(tmp_path / "line.obj", tmp_path / "out" / "sat.yaml", DraftOptions(units="m"), cache=cache)
+
+
+def test_objects_that_become_one_part_are_told(tmp_path: Path, cache: Path) -> None:
+    boxes = [
+        f"o box {n}\n" + obj_box(sides=(0.4, 0.4, 0.5), at=(0.5 * n, 0.0, 0.0), first=1 + 8 * n, use="grey")
+        for n in range(65)
+    ]
+    (tmp_path / "many.obj").write_text("\n".join(boxes))
+    made = draft(
+        tmp_path / "many.obj",
+        tmp_path / "many.yaml",
+        DraftOptions(units="m"),
+        cache=cache,
+        symmetries=lambda _: [],
+    )
+    assert made.target.parts == ("many",)
+    assert any(text.startswith("its 65 objects become one part, since more than 64") for text in made.told)
 
 
 def test_names_keep_their_letters_and_a_library_that_is_missing_is_told(cad: Path, cache: Path) -> None:
