@@ -303,7 +303,10 @@ def _by_material(name: str, triangles: FloatArray, geometry: Any) -> Iterator[_P
     found = None if material is None else _material(material)
     if found is not None and not found.name:
         found = None if found.colour is None else replace(found, name=_colour_name(found.colour))
-    yield _Piece(name if found is None else _without_material(name, found.name), triangles, found)
+    if found is not None:
+        name = _without_material(name, found.name)
+        found = None if found.name == obj_text.NO_MATERIAL else found
+    yield _Piece(name, triangles, found)
 
 
 def _colour_name(colour: tuple[float, float, float]) -> str:

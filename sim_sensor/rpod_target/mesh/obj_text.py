@@ -18,11 +18,13 @@ from rpod_target.mesh.polygons import concave, triangulated
 from rpod_target.mesh.text import as_utf8, local_name, with_line_feeds
 from rpod_target.mesh.topology import Indices
 
-_USED = re.compile(rb"^\s*usemtl\s+(.+?)\s*$", re.MULTILINE)
-_LIBRARY = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
+_USED = re.compile(rb"^[ \t]*usemtl(?:[ \t]+(\S.*?))?[ \t\r]*$", re.MULTILINE)
+_USED_NONE = re.compile(rb"^[ \t]*usemtl[ \t\r]*$", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
+_LIBRARY = re.compile(rb"^[ \t]*mtllib(?:[ \t]+(\S.*?))?[ \t\r]*$", re.MULTILINE)
 _SEVERAL = re.compile(r"(?<=\.mtl)\s+", re.IGNORECASE)
 _INDENT = re.compile(rb"^ ++", re.MULTILINE)
-_DEFINED = re.compile(rb"^\s*newmtl\s+(.+?)\s*$", re.MULTILINE)
+_DEFINED = re.compile(rb"^[ \t]*newmtl[ \t]+(\S.*?)[ \t\r]*$", re.MULTILINE)
 _OBJECT = re.compile(rb"^\s*o\s+\S", re.MULTILINE)
 _TEXTURE = re.compile(rb"^\s*(map_|bump|disp|decal|refl|norm).*$", re.MULTILINE | re.IGNORECASE)
 _FACES = re.compile(rb"(?:^[ \t]*+f[ \t][^\n]*+(?:\n|\Z)){1,65536}+", re.MULTILINE)
@@ -31,6 +33,8 @@ _AFTER_SLASH = re.compile(rb"/[-0-9/]*")
 _CORNER = re.compile(rb"^[ \t]*+v[ \t]++(\S++)[ \t]++(\S++)[ \t]++(\S++)", re.MULTILINE)
 _CORNER_LINE = re.compile(rb"^[ \t]*+v[ \t]", re.MULTILINE)
 _OWN_LIBRARY = "materials.mtl"
+NO_MATERIAL = "no-material-of-the-file"
+"""Name that stands for no material, since the reader splits and renames the objects of faces without one."""
 NO_CORNER = "has a face with a corner that is not in the file: export it again"
 """Why a file is refused whose faces count beyond its corners."""
 
@@ -42,7 +46,7 @@ def libraries(content: bytes) -> tuple[str, ...]:
     """Return the names of the material libraries of a text in UTF-8, relative to its folder."""
     content = with_line_feeds(content)
     found = _LIBRARY.findall(content) if b"mtllib" in content else []  # a search of 200 MB takes a second
-    names = [name for line in found for name in _SEVERAL.split(line.decode("utf-8", "replace"))]
+    names = [name for line in found if line for name in _SEVERAL.split(line.decode("utf-8", "replace"))]
     return tuple(dict.fromkeys(local_name(name) for name in names))
 
 
@@ -65,16 +69,29 @@ def prepared(content: bytes, beside: Mapping[str, bytes]) -> tuple[bytes, dict[s
     beside = {name: _plain(as_utf8(library)) for name, library in beside.items()}
     if b"\\\n" in content or b"\\\r\n" in content:
         content = re.sub(rb"\\\r?\n", b" ", content)
+    used = tuple(dict.fromkeys(_USED.findall(content))) if b"usemtl" in content else ()
+    content = _with_no_material(content, used)
     library = b"\n".join(_TEXTURE.sub(b"", found) for found in beside.values())
     defined = set(_DEFINED.findall(library))
-    used = _USED.findall(content) if b"usemtl" in content else []
-    missing = [name for name in dict.fromkeys(used) if name not in defined]
+    missing = [name for name in (*used, NO_MATERIAL.encode()) if name and name not in defined]
     library += b"".join(b"\nnewmtl " + name + b"\n" for name in missing)
     faces = _Faces(content)
     body = _FACES.sub(faces.plain, content)
     if b"mtllib" in content:
         body = _LIBRARY.sub(b"", body)
     return b"mtllib " + _OWN_LIBRARY.encode() + b"\n" + body, {_OWN_LIBRARY: library}
+
+
+def _with_no_material(content: bytes, used: tuple[bytes, ...]) -> bytes:
+    """Return a text in which faces without a material name one, if other faces have one."""
+    if not any(used):
+        return content
+    none = b"usemtl " + NO_MATERIAL.encode()
+    if b"" in used:
+        content = _USED_NONE.sub(none, content)
+    first = _USED.search(content)
+    before = None if first is None else _FACE.search(content, 0, first.start())
+    return content if before is None else none + b"\n" + content
 
 
 def wrong_line(content: bytes) -> str:

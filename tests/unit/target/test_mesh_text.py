@@ -80,6 +80,25 @@ def test_a_library_is_found_however_its_name_is_written(tmp_path: Path, cache: P
     assert not any("not beside" in told for told in made.told)
 
 
+@pytest.mark.parametrize("empty", ["mtllib", "mtllib ", "usemtl", "usemtl "])
+def test_a_line_of_an_obj_without_its_name_takes_no_other_line_away(empty: str) -> None:
+    mesh = read_mesh_file("hull.obj", f"{empty}\n{OBJ}".encode(), {})
+    assert volume_m3(mesh.triangles) == pytest.approx(VOLUME)
+    assert [material.name for material in mesh.materials] == ["foil"]
+
+
+@pytest.mark.parametrize(
+    ("before", "between"), [("", "usemtl foil\n"), ("usemtl foil\n", "usemtl\n")], ids=["before", "after"]
+)
+def test_an_object_of_which_some_faces_have_no_material_stays_one_object(before: str, between: str) -> None:
+    corners, faces = OBJ.split("mtllib colours.mtl\nusemtl foil\n")
+    first, second = faces[:16], faces[16:]
+    mesh = read_mesh_file("hull.obj", f"{corners}o hull\n{before}{first}{between}{second}".encode(), {})
+    assert mesh.objects == ("hull",)
+    assert sorted(set(mesh.triangle_material.tolist())) == [-1, 0]
+    assert volume_m3(mesh.triangles) == pytest.approx(VOLUME)
+
+
 def test_a_coordinate_with_a_comma_is_refused_with_the_remedy() -> None:
     text = OBJ.replace("v 1 0 0", "v 1,5 0 0").replace("f 1 2 4", "f -4 -3 -1")
     with pytest.raises(ValueError, match="coordinate that is no number: export it again, with points"):
