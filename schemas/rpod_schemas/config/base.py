@@ -205,11 +205,11 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
     except ValidationError as error:
         problem, *others = sorted(_problems(error), key=lambda each: each["type"] != _UNKNOWN)
         reason = _reason(model, document, problem)
-        if others:
-            named = [_place(each["loc"]) for each in others[:_MOST_NAMED]] + ["..."] * (
-                len(others) > _MOST_NAMED
-            )
-            reason += f" (and {len(others)} more: {', '.join(named)})"
+        places = dict.fromkeys(_place(each["loc"]) for each in others)  # once for each member of a union
+        further = [place for place in places if place != _place(problem["loc"])]
+        if further:
+            named = further[:_MOST_NAMED] + ["..."] * (len(further) > _MOST_NAMED)
+            reason += f" (and {len(further)} more: {', '.join(named)})"
         raise ConfigurationError(source, _place(problem["loc"]), reason) from error
     finally:
         _being_read.reset(outer)

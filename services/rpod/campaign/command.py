@@ -121,7 +121,7 @@ def _options(name: str, model: type[Options], given: Mapping[str, Any]) -> Optio
     except ConfigurationError as error:
         option = error.field.split(".")[0]
         if option not in given:  # of several options together
-            raise ConfigurationError(f"rpod campaign {name}", "", error.reason) from error
+            raise ConfigurationError(name, "", error.reason) from error
         value = repr(given[option])
         reason = error.reason if value in error.reason else f"{error.reason} ({value})"
         raise ConfigurationError(_flag(option), "", reason) from error

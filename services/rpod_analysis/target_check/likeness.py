@@ -74,8 +74,17 @@ def checked_symmetries(target: Target) -> list[FoundSymmetry]:
         checked.append(replace(one, exact=exact, likeness=likeness, mistaken=mistaken))
     checked = _consistent(checked)
     covered = [one for one in checked if one.continuous and one.mistaken]
-    kept = [one for one in checked if not any(_includes(other, one) for other in covered)]
+    kept = _generating([one for one in checked if not any(_includes(other, one) for other in covered)])
     return sorted(kept, key=lambda one: (not one.exact, not one.mistaken))
+
+
+def _generating(found: list[FoundSymmetry]) -> list[FoundSymmetry]:
+    """Return two axes of a ball, whose turns are together all turns; of another body all its symmetries."""
+    free = [one for one in found if one.exact and one.continuous]
+    for other in free[1:]:
+        if abs(np.dot(other.axis, free[0].axis)) < _SAME_ATTITUDE:
+            return [free[0], other]
+    return found
 
 
 def _is_mistaken(one: FoundSymmetry, seen: Likeness) -> bool:

@@ -4,9 +4,9 @@ An option's type, default, bounds and help sentence are defined in the campaign'
 the docstring under the field, or the ``description`` of a type that several campaigns share.
 """
 
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from rpod_campaign.engine.trial.surroundings import SurroundingsName
 from rpod_schemas.config.base import Config, Positive
@@ -69,6 +69,45 @@ class Options(Config):
     trials: Trials = 1
     seed: Annotated[int, Field(ge=0)] = 1
     """Seed of all random numbers."""
+
+
+class SensorOptions(Options):
+    """Options of a campaign of which some count for one sensor, or for random satellites, only."""
+
+    sensor: Literal["lidar", "pmd"] = "lidar"
+    """Sensor: lidar, or pmd for the camera."""
+
+    @model_validator(mode="after")
+    def _each_counts(self) -> Self:
+        """Refuse an option that would be ignored, a pair that falls, and percentages."""
+        for name in ("returns", "filled"):
+            least, greatest = getattr(self, name)
+            if least > greatest:
+                raise ValueError(f"--{name} needs the least value first, not {least:g},{greatest:g}")
+            if name == "filled" and greatest > _MOST_FILLED:
+                raise ValueError(
+                    f"--filled is {least:g},{greatest:g}; it needs shares of the image's height up to "
+                    f"{_MOST_FILLED:g}, such as 0.2,0.8"
+                )
+        for other, names in self._ignored().items():
+            for name in names & self.model_fields_set:
+                raise ValueError(f"--{name} has no meaning with --{other}; leave it out")
+        return self
+
+    def meant(self, *, without: set[str]) -> dict[str, Any]:
+        """Return the options that count, by name, for the model of another campaign."""
+        return self.model_dump(exclude=without.union(*self._ignored().values()))
+
+    def _ignored(self) -> dict[str, set[str]]:
+        """Return the names of the options that do not count, by the option because of which they do not."""
+        return {
+            f"sensor {self.sensor}": {"returns"} if self.sensor == "pmd" else {"filled", "scenario"},
+            "target": {"bodies", "population"} if getattr(self, "target", ()) else set(),
+        }
+
+
+_MOST_FILLED = 10.0
+"""Greatest ratio of the longest side to the image's height; beyond it, a hundredth of the target is seen."""
 
 
 def either(chosen: str, two: tuple[str, str]) -> tuple[str, ...]:

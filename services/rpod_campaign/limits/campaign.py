@@ -13,10 +13,10 @@ from rpod_campaign.population.options import Options as PopulationOptions
 
 def cells(options: Options) -> list[LimitsCell]:
     """Return a cell for each satellite and world. Raises ConfigurationError, which names the option."""
-    shared = options.model_dump(exclude={"scenarios", "quantile", "margin"})
-    seen = population.cells(
-        PopulationOptions(**shared, population="derive", task="tracking", scenarios=options.scenarios)
-    )
+    shared = options.meant(without={"scenarios", "quantile", "margin"})
+    if not options.target:
+        shared["population"] = "derive"
+    seen = population.cells(PopulationOptions(**shared, task="tracking", scenarios=options.scenarios))
     names = list(dict.fromkeys(cell.target for cell in seen))
     after = dict(zip(names, [*names[1:], names[0]], strict=True))
     return [

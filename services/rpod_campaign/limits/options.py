@@ -4,13 +4,12 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Options as CampaignOptions
-from rpod_campaign.engine.options import Provided, Trials, Worlds
+from rpod_campaign.engine.options import Provided, SensorOptions, Trials, Worlds
 from rpod_schemas.config.base import NonNegative, Positive
 from rpod_schemas.config.scenario import Scenario
 
 
-class Options(CampaignOptions):
+class Options(SensorOptions):
     """Limits of evidence, from a population from which limits may be derived."""
 
     title: ClassVar[str] = "Limits from right and wrong poses"

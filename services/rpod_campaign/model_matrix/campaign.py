@@ -15,7 +15,7 @@ from rpod_campaign.population.report import summarise
 
 def cells(options: Options) -> list[PopulationCell]:
     """Return the cells of each target with itself and with each model. Raises ConfigurationError."""
-    shared = options.model_dump(exclude={"models", "scenarios"})
+    shared = options.meant(without={"models", "scenarios"})
     seen = population.cells(PopulationOptions(**shared, scenarios=options.scenarios))
     return [
         replace(cell, task=task, model=model_of(cell.target, model))

@@ -4,8 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rpod_campaign.engine.options import Names, Provided, Trials, Worlds
-from rpod_campaign.engine.options import Options as CampaignOptions
+from rpod_campaign.engine.options import Names, Provided, SensorOptions, Trials, Worlds
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 
@@ -22,7 +21,7 @@ VARIATIONS = (
 """Variations of each target that are tried by default."""
 
 
-class Options(CampaignOptions):
+class Options(SensorOptions):
     """Targets that differ from their models."""
 
     title: ClassVar[str] = "Targets that differ from their models"

@@ -116,6 +116,9 @@ def _with_target(scenario: Scenario, target: str, ranges: Sequence[float | str] 
     document["target"], document["estimator"]["initial_pose"] = target, None
     shown = check(Scenario, document, source=scenario.name)
     near_m, far_m = ranges_m(ranges, shown)
+    if near_m == far_m:
+        reason = f"is {near_m:g} m alone; it needs two ranges, between which the target approaches"
+        raise ConfigurationError("--ranges", "", reason)
     return approaching(reaching(shown, far_m), (far_m, near_m))
 
 

@@ -2,16 +2,15 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from rpod_campaign.engine.options import Model, Provided, Surroundings, Trials, Worlds
-from rpod_campaign.engine.options import Options as CampaignOptions
+from rpod_campaign.engine.options import Model, Provided, SensorOptions, Surroundings, Trials, Worlds
 from rpod_schemas.config.base import Positive
 from rpod_schemas.config.scenario import Scenario
 from rpod_target.population.names import PopulationName
 
 
-class Options(CampaignOptions):
+class Options(SensorOptions):
     """Acquisition and tracking of random satellites."""
 
     title: ClassVar[str] = "Acquisition and tracking of random satellites"
@@ -38,11 +37,3 @@ class Options(CampaignOptions):
     """Scenario with the camera, by name; 'mockup-' may be left out."""
     scenarios: Annotated[dict[str, Scenario], Provided()] = Field(default_factory=dict)
     """Installed scenarios, by name."""
-
-    @model_validator(mode="after")
-    def _pairs_rise(self) -> "Options":
-        for name in ("returns", "filled"):
-            least, greatest = getattr(self, name)
-            if least > greatest:
-                raise ValueError(f"{name} needs the least value first, not {least:g},{greatest:g}")
-        return self

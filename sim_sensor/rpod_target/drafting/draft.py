@@ -13,7 +13,7 @@ import yaml
 
 from rpod_schemas.arrays import FloatArray
 from rpod_target.drafting.materials import proposed
-from rpod_target.drafting.units import left_over, metres_per_unit, most_sides
+from rpod_target.drafting.units import left_over, metres_per_unit, most_sides, rounded
 from rpod_target.errors import TargetError
 from rpod_target.loading import load_target
 from rpod_target.mesh.files import FORMATS, MeshFile, companions, read_mesh_file
@@ -91,7 +91,7 @@ def draft(
     say(f"reading {cad.name or cad}")
     mesh = _read(cad, options.largest_file_mb, told)
     scale = metres_per_unit(cad, mesh, options, told)
-    told += left_over(mesh, scale)
+    told += [*left_over(mesh, scale), *rounded(mesh, scale)]
     out.parent.mkdir(parents=True, exist_ok=True)
     kept = out.read_bytes() if out.exists() else None
 

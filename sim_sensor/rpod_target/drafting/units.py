@@ -15,6 +15,8 @@ from rpod_target.parameters import LARGEST_M, SMALLEST_M, usual_size
 _LEFT_OVER, _FAR = 2.5e-3, 2.0
 """Share of the area beyond each side of the box that holds most of a mesh, and ratio of the longest sides
 above which the rest is told. Hand."""
+_COARSE = 1e-3
+"""Share of the longest side above which steps of the coordinates are told: the bound of a simplification."""
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "km": 1e3}
 """Metres in the units that a drawing may have."""
 
@@ -131,4 +133,16 @@ def left_over(mesh: MeshFile, scale: float) -> list[str]:
     return [
         f"99.5 % of the surface is within {sides} m, but the whole file is {whole.max():.3g} m long: if the "
         "rest is left over from the drawing, delete it and write the target again"
+    ]
+
+
+def rounded(mesh: MeshFile, scale: float) -> list[str]:
+    """Return a sentence if a file's 32-bit numbers are coarse, since the body is far from their origin."""
+    farthest, longest = float(np.abs(mesh.triangles).max()), float(np.ptp(mesh.triangles, axis=(0, 1)).max())
+    step = float(np.spacing(np.float32(farthest)))
+    if step <= _COARSE * longest or not np.array_equal(mesh.triangles, mesh.triangles.astype(np.float32)):
+        return []
+    return [
+        f"the file's origin is {scale * farthest:.3g} m away, and its numbers of 32 bits have steps of "
+        f"{scale * step:.2g} m there: move the body to the origin in the CAD program and export it again"
     ]

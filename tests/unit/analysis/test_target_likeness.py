@@ -9,7 +9,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rpod_analysis.target_check.likeness import _consistent, _is_mistaken, checked_symmetries
+from rpod_analysis.target_check.likeness import _consistent, _generating, _is_mistaken, checked_symmetries
 from rpod_schemas.poses import make_pose
 from rpod_target import Target, load_target
 from rpod_target.drafting.draft import DraftOptions, draft
@@ -180,3 +180,11 @@ def test_any_turn_is_mistaken_from_one_side_and_one_turn_from_half_of_the_sides(
     seen = replace(one.likeness[0], alike=alike)
     assert _is_mistaken(one, seen) is one_turn
     assert _is_mistaken(replace(one, continuous=True), seen) is any_turn
+
+
+def test_two_axes_of_a_ball_are_enough_and_a_body_of_revolution_keeps_its_half_turns() -> None:
+    axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    x, y, z = (replace(half_turn(axis, exact=True, log_likelihood=1.0), continuous=True) for axis in axes)
+    across = half_turn(axes[0], exact=True, log_likelihood=1.0)
+    assert _generating([x, y, z, across]) == [x, y]
+    assert _generating([z, across]) == [z, across]

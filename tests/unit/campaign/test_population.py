@@ -66,6 +66,20 @@ def test_limits_that_fall_are_refused_by_the_name_of_the_option():
         cells(returns=(500.0, 30.0))
 
 
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"filled": (0.2, 0.8)}, "--filled has no meaning with --sensor lidar; leave it out"),
+        ({"sensor": "pmd", "returns": (30.0, 60.0)}, "--returns has no meaning with --sensor pmd"),
+        ({"target": ("mockup",), "bodies": 3}, "--bodies has no meaning with --target"),
+        ({"sensor": "pmd", "filled": (20.0, 80.0)}, "--filled is 20,80; it needs shares of the image's"),
+    ],
+)
+def test_an_option_that_would_be_ignored_is_refused(options, reason):
+    with pytest.raises(ValidationError, match=reason):
+        cells(**options)
+
+
 @pytest.mark.parametrize("name", ["hexagonal-body", "envisat-bulky"])
 def test_a_window_holds_the_target_at_every_range_and_no_surface_is_near(name):
     window, target = window_of(name), cached_target(name)

@@ -24,6 +24,7 @@ from rpod_campaign.pmd import poses
 from rpod_campaign.pmd.framing import FILLED, range_filling
 from rpod_campaign.pmd.scene import camera_of, scenario_of
 from rpod_campaign.pmd_acquisition import trial as pmd_acquisition
+from rpod_schemas.errors import ConfigurationError
 
 SCENARIOS = {name: find(name) for name in shipped()}
 SIZE_M = 0.8
@@ -160,6 +161,8 @@ def test_another_target_approaches_from_where_it_fills_little_to_where_it_fills_
     )
     way = scenario_of(nearer.document).motion.trajectory
     assert [way.start_m[2], way.end_m[2]] == pytest.approx([4.0, 2.0])
+    with pytest.raises(ConfigurationError, match="--ranges: is 2 m alone; it needs two ranges"):
+        cells("pmd-tracking", scenario=("oblique",), method=("joint",), target=(brick,), ranges=("2",))
 
 
 def test_the_ranges_of_an_acquisition_are_chosen_or_follow_from_the_image(brick):

@@ -324,3 +324,13 @@ def test_a_vector_with_too_few_numbers_is_told_how_many_it_needs():
 
 def test_a_scenarios_title_may_be_short():
     assert Scenario.model_validate(SCENARIO | {"title": "A"}).title == "A"
+
+
+class Lengths(Config):
+    lengths: tuple[Positive | Annotated[str, Field(pattern=r"^[0-9]+x$")], ...]
+
+
+def test_a_place_that_may_have_several_types_is_named_once() -> None:
+    with pytest.raises(ConfigurationError, match=r"greater than 0 \(and 1 more: lengths\.2\)$") as refused:
+        check(Lengths, {"lengths": ["0", "3x", "x"]}, source="")
+    assert refused.value.field == "lengths.0"

@@ -310,6 +310,24 @@ def test_what_is_left_over_far_away_is_told_and_does_not_count_for_the_assumed_m
     assert "no mass is given: 100 kg are assumed (--mass-kg)" in made.told
 
 
+@pytest.mark.parametrize(("away", "told"), [(3e5, "steps of 0.031 m there"), (300.0, "")])
+def test_coordinates_that_are_coarse_since_the_body_is_far_away_are_told(
+    tmp_path: Path, cache: Path, away: float, told: str
+) -> None:
+    body = trimesh.creation.box((2.0, 1.0, 1.0)).apply_translation((away, 0.2, 0.3))
+    body.export(tmp_path / "sat.stl")
+    made = draft(
+        tmp_path / "sat.stl",
+        tmp_path / "sat.yaml",
+        DraftOptions(units="m", mass_kg=5.0),
+        cache=cache,
+        symmetries=lambda _: [],
+    )
+    coarse = [text for text in made.told if "numbers of 32 bits" in text]
+    assert len(coarse) == bool(told)
+    assert all(told in text for text in coarse)
+
+
 def test_a_turn_that_some_sides_do_not_tell_is_written_with_the_remedy(cad: Path, cache: Path) -> None:
     seen = Likeness("lidar", "30 returns", 46.7, 4, 1, 5.0)
     around = FoundSymmetry(
