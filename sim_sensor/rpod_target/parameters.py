@@ -17,7 +17,7 @@ from pydantic import (
 from scipy.spatial.transform import RigidTransform
 
 from rpod_schemas.arrays import FloatArray, Matrix3, Vector3
-from rpod_schemas.config.base import Config, Name, NonNegative, Positive, Share
+from rpod_schemas.config.base import ROS_NAME, Config, Name, NonNegative, Positive, Share
 from rpod_schemas.poses import Pose
 from rpod_target.mesh.unusable import LARGEST_FILE_MB
 from rpod_target.target import Albedo
@@ -217,7 +217,10 @@ class JointParameters(Config):
     def _rises(cls, limits_deg: tuple[float, float]) -> tuple[float, float]:
         least, greatest = limits_deg
         if not -360.0 <= least < greatest <= 360.0 or greatest - least > 360.0:
-            raise ValueError("needs the least angle first, both within 360 deg and at most a turn apart")
+            raise ValueError(
+                f"is [{least:g}, {greatest:g}]; it needs the least angle first, both within 360 deg and at "
+                "most a turn apart"
+            )
         return limits_deg
 
 
@@ -247,7 +250,7 @@ class SymmetryParameters(Config):
         return _direction(axis) / float(np.linalg.norm(axis))
 
 
-FrameName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+FrameName = Annotated[str, Field(pattern=ROS_NAME)]
 """Name of a frame: part of a topic of ROS 2, which has no hyphens."""
 
 

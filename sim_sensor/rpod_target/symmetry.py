@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rpod_schemas.arrays import Array, FloatArray
+from rpod_target.equivalence import Symmetry
 from rpod_target.mesh.topology import areas_m2
 from rpod_target.target import Target
 from rpod_target.visibility import as_tensor, scene_of
@@ -105,6 +106,15 @@ def find_symmetries(target: Target) -> list[FoundSymmetry]:
     exact = sorted((one for one in found if one.exact), key=lambda one: -one.order)
     near = sorted((one for one in found if not one.exact), key=lambda one: (not one.continuous, -one.share))
     return _without_flips_of_bodies_of_revolution([*exact, *_apart(near, exact)[:_MOST_NEAR]])
+
+
+def agreeing_share(target: Target, declared: Symmetry) -> float:
+    """Return the share of the surface that agrees nearly after the worst of a declared symmetry's turns."""
+    matcher, axis = _Matcher(target), np.array(declared.axis)
+    matcher.centre_m = np.zeros(3)  # a file states axes through the origin
+    if declared.continuous:
+        return min(matcher.errors(axis, turn)[1] for turn in TURNS)
+    return matcher.errors_of_order(axis, declared.order, above=0.0)[1]
 
 
 def _apart(near: list[FoundSymmetry], exact: list[FoundSymmetry]) -> list[FoundSymmetry]:

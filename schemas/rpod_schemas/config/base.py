@@ -25,6 +25,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(gt=0)]
 _NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
 Name = Annotated[str, Field(pattern=_NAME)]
+ROS_NAME = r"^[A-Za-z][A-Za-z0-9_]*$"
+"""Pattern of a name that is one level of a topic."""
 ENDPOINT = r"^(tcp|tls|quic|unixsock-stream)/.+"
 """Pattern of an endpoint of Zenoh."""
 ZENOH_ID = r"^[0-9a-f]{1,32}$"
@@ -37,6 +39,7 @@ TOPIC = r"^/?[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$"
 """Pattern of a topic's name."""
 _PATTERNS = {
     _NAME: "needs a letter, then letters, digits, '_' or '-'",
+    ROS_NAME: "needs a letter, then letters, digits or '_'",
     ENDPOINT: "needs an endpoint of Zenoh, such as tcp/127.0.0.1:7447",
     BUS_NAMESPACE: "needs names that begin with a letter, with '/' between two, as lab/north",
     NAMESPACE: "needs names of letters, digits and '_' with '/' between two, as robot1/camera",
@@ -63,6 +66,8 @@ _FORMS = {
 """Form that a field needs, by Pydantic's name of the error for any other form."""
 _OF_UNIONS = ("constrained-", "function-")
 """Beginnings of Pydantic's names for types in a place that are no fields."""
+_KEY = "[key]"
+"""Pydantic's place of a wrong name of a field, behind this name."""
 _UNKNOWN = "extra_forbidden"
 """Pydantic's name of the error that a field is not known."""
 _LONGEST_QUOTED = 200
@@ -217,7 +222,7 @@ def check(model: type[Model], document: Any, *, source: Path | str) -> Model:
 
 def _place(location: Sequence[int | str]) -> str:
     """Return a field's place without Pydantic's names for the members of a union of plain types."""
-    return ".".join(str(part) for part in location if not str(part).startswith(_OF_UNIONS))
+    return ".".join(str(part) for part in location if not str(part).startswith(_OF_UNIONS) and part != _KEY)
 
 
 def _reason(model: type[BaseModel], document: Any, problem: ErrorDetails) -> str:

@@ -4,6 +4,7 @@ import json
 import shlex
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,11 +141,8 @@ def _print(found: TargetCheck, console: Console) -> None:
         f"{field.spacing_m:.3g} m spacing",
         soft_wrap=True,
     )
-    for text in found.repairs:
-        console.print(f"repaired  {text}", soft_wrap=True)
-    for one in found.found_symmetries:
-        kind = "exact" if one.exact else "near" if one.mistaken else "near, but sensors can distinguish it"
-        console.print(f"symmetry  {_about(one.axis, one.order, any_turn=one.continuous)}, {kind}")
+    for text in _shape(found):
+        console.print(text, soft_wrap=True)
     ignored = [part.name for part in found.parts if part.unreliable]
     if ignored:
         console.print(f"ignored   {', '.join(ignored)}: unreliable parts", soft_wrap=True)
@@ -174,6 +172,15 @@ def _print(found: TargetCheck, console: Console) -> None:
             console.print(f"{each.sensor}.{each.name}: {text}", soft_wrap=True)
         if each.reason:
             console.print(f"{each.sensor}.{each.name}: {each.reason}", soft_wrap=True)
+
+
+def _shape(found: TargetCheck) -> Iterator[str]:
+    """Yield the lines about repairs and symmetries."""
+    yield from (f"repaired  {text}" for text in found.repairs)
+    yield from (f"doubtful  {text}" for text in found.doubts)
+    for one in found.found_symmetries:
+        kind = "exact" if one.exact else "near" if one.mistaken else "near, but sensors can distinguish it"
+        yield f"symmetry  {_about(one.axis, one.order, any_turn=one.continuous)}, {kind}"
 
 
 def _methods(found: TargetCheck) -> Table:

@@ -13,8 +13,10 @@ from rpod_analysis.target_check.trials import MethodFacts, try_methods
 from rpod_pose.registration.closest_point import Surface
 from rpod_target import Target
 from rpod_target.mesh.topology import areas_m2
-from rpod_target.symmetry import FoundSymmetry
+from rpod_target.symmetry import FoundSymmetry, agreeing_share
 
+_DOUBTFUL_SHARE = 0.5
+"""Share of agreeing surface below which a declared symmetry is doubted; the search finds none below 0.6."""
 _LISTED = 20
 """Number of openings and edges that are listed one by one, the longest."""
 
@@ -105,6 +107,7 @@ class TargetCheck:
     openings: int
     longest_openings: tuple[Opening, ...]
     declared_symmetries: tuple[dict[str, Any], ...]
+    """Those of the file, each with the share of the surface that agrees nearly after its worst turn."""
     found_symmetries: tuple[FoundSymmetry, ...]
     frames: tuple[FrameFacts, ...]
     mass: MassFacts
@@ -115,6 +118,11 @@ class TargetCheck:
     """Number of edges that a sensor resolves, by sensor and by range, m."""
     accuracy: tuple[SensorAccuracy, ...]
     methods: tuple[MethodFacts, ...]
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Declared symmetries that the surface does not have, one sentence each."""
+        return tuple(_doubt(one) for one in self.declared_symmetries if one["share"] < _DOUBTFUL_SHARE)
 
     def document(self) -> dict[str, Any]:
         """Return the check as a JSON document."""
@@ -144,7 +152,9 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         repairs=target.repairs,
         openings=len(rims),
         longest_openings=tuple(rims[:_LISTED]),
-        declared_symmetries=tuple(asdict(one) for one in target.symmetries),
+        declared_symmetries=tuple(
+            asdict(one) | {"share": agreeing_share(target, one)} for one in target.symmetries
+        ),
         found_symmetries=tuple(checked_symmetries(target)),
         frames=tuple(described_frame(target, name) for name in target.frames),
         mass=_mass(target),
@@ -160,6 +170,17 @@ def check_target(target: Target, *, trials: int | None = None) -> TargetCheck:
         },
         accuracy=accuracy,
         methods=try_methods(target, trials=trials),
+    )
+
+
+def _doubt(one: dict[str, Any]) -> str:
+    """Return what a symmetry that the file declares and the surface does not have leads to."""
+    along = ", ".join(f"{value:.3f}" for value in one["axis"])
+    turn = "any turn" if one["continuous"] else f"every {360 / one['order']:.4g} deg"
+    effect = "poses that differ by it count as equal" if one["exact"] else "it costs time"
+    return (
+        f"the file declares a symmetry about ({along}), {turn}, after which only {one['share']:.0%} of the "
+        f"surface agrees: {effect}; correct it or take it out"
     )
 
 

@@ -92,6 +92,20 @@ def test_the_page_has_whole_millimetres_for_large_errors(
     assert page.count(">no pose</td>") == 2
 
 
+def test_a_declared_symmetry_that_the_surface_does_not_have_is_doubted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check, "try_methods", lambda *_, **__: ())
+    monkeypatch.setattr(check, "checked_symmetries", lambda _: [])
+    right, wrong = (Symmetry((1.0, 0.0, 0.0), order, exact=True) for order in (2, 7))
+    target = built(trimesh.creation.box((2.0, 1.0, 0.5)), tmp_path)
+    found = check_target(replace(target, symmetries=(right, wrong)))
+    assert found.declared_symmetries[0]["share"] > 0.98
+    (doubt,) = found.doubts
+    assert "about (1.000, 0.000, 0.000), every 51.43 deg, after which only" in doubt
+    assert "count as equal; correct it or take it out" in doubt
+
+
 def test_a_part_whose_name_ends_as_that_of_a_back_is_no_back(tmp_path: Path) -> None:
     mesh = trimesh.creation.box((2.0, 1.0, 0.5))
     mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.25).all(axis=1))

@@ -67,7 +67,7 @@ def test_at_an_angle_the_target_is_the_one_whose_file_has_the_part_turned(jointe
     ("change", "reason"),
     [
         ({"axis": [0, 0, 0]}, "must not be zero"),
-        ({"limits_deg": [20, -20]}, "needs the least angle first"),
+        ({"limits_deg": [20, -20]}, r"is \[20, -20\]; it needs the least angle first"),
         ({"limits_deg": [-200, 200]}, "at most a turn apart"),
         ({"variation": "@bent=5deg", "most_rate_deg_s": 1.0}, "neither @bent nor @missing"),
     ],

@@ -223,6 +223,8 @@ def replaced(document: dict[str, Any], field: str, value: Any) -> dict[str, Any]
         ("inertia_kg_m2.0.0", -2.0, "inertia_kg_m2", "not positive definite"),
         ("inertia_kg_m2.0.0", 8.0, "inertia_kg_m2", "triangle inequality"),
         ("symmetries", [{"axis": [0, 0, 0], "order": 2}], "symmetries.0.axis", "must not be zero"),
+        ("tolerance_m", 2.0, "tolerance_m", "10% of the longest side: it is in metres, not in millimetres"),
+        ("frames", {"a b": {"translation_m": [0, 0, 0]}}, "frames.a b", "is 'a b'; needs a letter, then"),
     ],
 )
 def test_a_wrong_field_is_named_with_the_reason(
