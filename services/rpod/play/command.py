@@ -11,6 +11,7 @@ from rich.console import Console
 from rpod.errors import EXIT_INTERRUPTED, InterruptedRunError, RunError, failed, told
 from rpod.play.beforehand import too_fast, unseen
 from rpod.play.facility import Speed
+from rpod.play.joint_motion import beyond
 from rpod.play.progress import Progress
 from rpod.play.run import RunFolder, play
 from rpod.scenarios import find
@@ -55,7 +56,8 @@ def run_command(
         # built once here, so that the services find them in the cache
         target = load_target(scenario.target)
         check_model(target, load_target(scenario.model))
-        for text in filter(None, (*unseen(scenario, target.radius_m), too_fast(scenario))):
+        said = (*unseen(scenario, target.radius_m), too_fast(scenario), *beyond(scenario, target))
+        for text in filter(None, said):
             print(f"rpod run: {text}", file=sys.stderr)
         folder = _folder(out, scenario)
     except (ConfigurationError, RunError, OSError) as error:
