@@ -193,7 +193,9 @@ class SensorBook:
         if (silent_s := self._bus_silent_s(bus_s)) > 0.0:
             text = self._silence(silent_s, " of bus time", others=others)
             return InputState(Health.WARN, f"{self.name}: {text}")
-        silent_s = now_s - (self._since_s if self._heard_s is None else self._heard_s)
+        heard_s = self._since_s if self._heard_s is None else self._heard_s
+        judged_s = self._recent[-1].time_s if self._recent else heard_s  # a frame may take a minute itself
+        silent_s = now_s - max(heard_s, judged_s)
         if silent_s > self._silent_after_s:
             return InputState(Health.WARN, f"{self.name}: {self._silence(silent_s, others=others)}")
         while len(self._recent) > LEAST_FRAMES and now_s - self._recent[0].time_s > WINDOW_S:

@@ -350,6 +350,14 @@ def test_in_lockstep_a_sensor_that_never_sends_is_told_by_the_time_of_the_bus():
     assert state == (Health.WARN, "pmd: no frame yet in 2 s of bus time; is its driver running?")
 
 
+def test_the_time_that_a_frame_takes_itself_is_no_silence():
+    book = SensorBook("lidar", "points", now_s=0.0, silence_s=LOCKSTEP_SILENCE_S)
+    book.note_arrival(1.0)
+    book.use(70.0)
+    assert book.state(70.5) == (Health.OK, "")
+    assert book.state(70.5 + LOCKSTEP_SILENCE_S).text.startswith("lidar: no frame for 60 s")
+
+
 def test_in_lockstep_a_sensor_is_silent_after_a_minute_of_the_wall_clock(caplog):
     health = HealthBook("estimator")
     books = InputHealth(health, {"pmd": "depth"}, now_s=0.0, silence_s=LOCKSTEP_SILENCE_S)
