@@ -184,7 +184,7 @@ class Member:
     def _of_sensors(self) -> list[Topic]:
         """Return the topics of the configured sensors; those of all installed kinds if none is configured."""
         if self.sensors:
-            return [topic for sensor in self.sensors for topic in _topics_of(sensor)]
+            return [topic for sensor in self.sensors for topic in topics_of(sensor)]
         return [topic.of(ANY) for kind in sensor_kinds() for topic in kind.topics]
 
     @property
@@ -204,7 +204,7 @@ class Member:
         return other.serves if ANY in verbs else tuple(verb for verb in verbs if verb in other.serves)
 
 
-def _topics_of(sensor: SensorGrant) -> tuple[Topic, ...]:
+def topics_of(sensor: SensorGrant) -> tuple[Topic, ...]:
     """Return the topics of a sensor, as its driver publishes them."""
     kind = sensor_kind(sensor.kind)
     parts = {part.topic for part in kind.parts.values()}

@@ -34,6 +34,8 @@ _SHIPPED = Path(__file__).parent / "targets"
 _BUILDER_VERSION, _MESH_BUILDER_VERSION, _VARIATION_VERSION = 4, 7, 1
 """Versions of the builder without and with mesh files, and of the variations. Increase one when the same
 parameters give other arrays."""
+_MOST_TOLERANCE = 0.1
+"""Largest error of coordinates that a file may declare, over the longest side."""
 
 
 def shipped_targets() -> tuple[str, ...]:
@@ -88,7 +90,18 @@ def load_target(
     if parameters.joints and variation is not None and (variation.bent or variation.missing):
         raise TargetError(source, "joints", "a target with joints takes neither @bent nor @missing; omit it")
     target = with_joints(left_out)
+    _check_tolerance(target, source=source)
     return replace(target, reliable=with_joints(left_out + unreliable)) if unreliable else target
+
+
+def _check_tolerance(target: Target, *, source: Path) -> None:
+    most_m = _MOST_TOLERANCE * float(np.ptp(target.triangles_m, axis=(0, 1)).max())
+    if target.tolerance_m > most_m:
+        reason = (
+            f"is {target.tolerance_m:g} m; it must be less than {most_m:.3g} m, {_MOST_TOLERANCE:.0%} of the "
+            "longest side: it is in metres, not in millimetres"
+        )
+        raise TargetError(source, "tolerance_m", reason)
 
 
 def _bare(parameters: TargetParameters) -> TargetParameters:

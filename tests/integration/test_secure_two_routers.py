@@ -19,6 +19,7 @@ from rpod_schemas.control import Accepted, Empty
 from rpod_schemas.topics import ESTIMATE, STATUS, TF, TRUTH, TRUTH_TOPICS
 from rpod_security.authority import Authority
 from rpod_security.facility import named
+from rpod_security.roles import topics_of
 from rpod_security.rules import OtherHost, Rules
 
 CONTROL = frozenset({"estimator", "operator", "guidance"})
@@ -140,7 +141,7 @@ def test_frames_estimates_and_commands_pass_the_link_and_the_truth_does_not(host
 
 def members_topics(name: str):
     (member,) = (each for each in members() if each.name == name)
-    return [topic for sensor in member.sensors for topic in sensor.topics()]
+    return [topic for sensor in member.sensors for topic in topics_of(sensor)]
 
 
 def answered(node: Node, service: str, verb: str) -> bool:

@@ -19,8 +19,6 @@ from rpod_target.parameters import LARGEST_M, SMALLEST_M, MeshParameters, Target
 from rpod_target.variation import Variation
 from rpod_target.visibility import Sky
 
-_MOST_TOLERANCE = 0.1
-"""Largest error of coordinates that a file may declare, over the longest side."""
 _MOST_NODES = 30_000_000
 _USUAL_NODES = 4_000_000
 """Largest number of nodes of a grid whose spacing is not given."""
@@ -102,12 +100,6 @@ class _Surface:
 
 
 def _check_size(parameters: TargetParameters, size_m: float, *, source: str) -> None:
-    if parameters.tolerance_m > _MOST_TOLERANCE * size_m:
-        reason = (
-            f"is {parameters.tolerance_m:g} m; it must be less than {_MOST_TOLERANCE * size_m:.3g} m, "
-            f"{_MOST_TOLERANCE:.0%} of the longest side: it is in metres, not in millimetres"
-        )
-        raise TargetError(source, "tolerance_m", reason)
     if usual_size(size_m) or parameters.confirmed_size:
         return
     scaled = [

@@ -159,6 +159,16 @@ class Shown(NamedTuple):
     """Ranges of a rendering with more rays; ``COARSE_ONLY`` without such a rendering."""
 
 
+class PixelCounts(NamedTuple):
+    """Pixels that are inconsistent with a pose: the fields of ``Contradictions``."""
+
+    pixels: int
+    inconsistent: int
+    most_in_patch: int
+    most_missing: int
+    marked: NDArray[np.bool_]
+
+
 def contradictions(
     seen: SeenPixels,
     rendered: Rendering,
@@ -230,8 +240,8 @@ def sky_amplitude(
 @kernel
 def count_inconsistent(
     seen: SeenPixels, shown: Shown, shades: Shades, tolerated: Tolerated, patch: int
-) -> tuple[int, int, int, int, NDArray[np.bool_]]:
-    """Return the fields of ``Contradictions``, in their order.
+) -> PixelCounts:
+    """Return the inconsistent pixels and the numbers of pixels: the fields of ``Contradictions``.
 
     Args:
         seen: the frame's coarse pixels.
@@ -274,7 +284,7 @@ def count_inconsistent(
             marked[i, j] = True
             full[0, i : i + patch, j : j + patch] += 1
             full[1, i : i + patch, j : j + patch] += is_missing
-    return pixels, inconsistent, full[0].max(), full[1].max(), marked
+    return PixelCounts(pixels, inconsistent, full[0].max(), full[1].max(), marked)
 
 
 @kernel
