@@ -51,7 +51,7 @@ def campaign_command(
         options: values of the command line, by name of the option; None for an option that is not given.
         jobs: number of processes; one for each core if None.
         out: folder of all campaigns.
-        as_json: print the cells as one JSON object, and the progress only each minute.
+        as_json: print the cells as one JSON object, and at most a line of progress a minute.
         cluster: address of a Dask scheduler, or ``local:N``; None for processes of this machine.
     """
     try:

@@ -16,11 +16,11 @@ from rich.progress import (
 from rpod_campaign.engine.run import Prepared
 
 _PERIOD_S, _JSON_PERIOD_S = 10.0, 60.0
-"""Time between two lines, s, without and with ``--json``."""
+"""Least time between two lines, s, without and with ``--json``; a line comes when a trial has ended."""
 
 
 class CampaignProgress:
-    """Shows a bar on a terminal, a line every ten seconds elsewhere, a line every minute with ``--json``."""
+    """Shows a bar on a terminal, else lines: one in ten seconds at most, with ``--json`` in a minute."""
 
     def __init__(self, prepared: Prepared, *, as_json: bool) -> None:
         self._prepared, self._quiet = prepared, as_json

@@ -32,7 +32,7 @@ _EVERYWHERE = {
         bool,
         typer.Option(
             "--json",
-            help="Print the cells as one JSON object; the progress follows each minute on standard error.",
+            help="Print the cells as one JSON object; progress on standard error, a line a minute at most.",
         ),
     ],
 }

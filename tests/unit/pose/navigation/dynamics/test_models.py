@@ -231,7 +231,7 @@ def test_time_without_readings_before_others_moves_the_target_until_the_end(sile
 
 @pytest.mark.parametrize("begin_s", [8.95, 3.05])
 def test_a_chaser_that_turned_otherwise_while_its_imu_was_silent_turns_as_the_next_reading_says(begin_s):
-    """The chaser turns back by 1 deg/s; the last reading before six seconds of silence said the contrary.
+    """The IMU is silent for six seconds, in which the chaser reverses its turn: +1 deg/s before, -1 after.
 
     The state of the target, at rest, is right where the step begins, as frames have told it.
     """
